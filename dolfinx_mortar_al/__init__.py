@@ -1,0 +1,19 @@
+"""Frictional contact under large deformation for FEniCSx: the mixed augmented-Lagrangian form of Le van and Nguyen."""
+
+from dolfinx_mortar_al import loads, materials, quasistatic
+from dolfinx_mortar_al.contact import Contact, ContactPair
+from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
+from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.surface import Surface
+
+__all__ = [
+    "Contact",
+    "ContactPair",
+    "ContactProblem",
+    "NewtonResult",
+    "NewtonSolver",
+    "Surface",
+    "loads",
+    "materials",
+    "quasistatic",
+]

@@ -1,0 +1,457 @@
+"""A contact pair: two surfaces, a law, and the element vectors and matrices of eqs. (4) and (6)–(10).
+
+The integrals run over the contactor's reference facets by Gauss points. Arrays are batched over the n = facets × points
+Gauss points of this rank; the target is seen whole.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+from dolfinx.la import InsertMode
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, Coulomb, Frictionless, LawState
+from dolfinx_mortar_al.multiplier import MultiplierSpace
+from dolfinx_mortar_al.projection import Projection, TargetPoint, project
+from dolfinx_mortar_al.search import CandidateSearch
+from dolfinx_mortar_al.stopwatch import Stopwatch
+from dolfinx_mortar_al.surface import Facets, Surface, surface_normal
+from dolfinx_mortar_al.variation import Slots, vary
+
+__all__ = ["Contact", "ContactPair", "Tangent"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+# How Newton's contact decisions are taken, measured on the two beams (docs/newton.md)
+PATIENCE = 5.0  # gaps are trusted to this many times their error
+DEEPEST = 1.0 - 1e-6  # of the penetrated points only the deepest of each neighbourhood closes
+WEAK = 0.1  # share of the largest pressure below which a first, all-closed guess opens
+SOFTER = 0.1  # ε over the bulk's stiffness at the surface
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Two surfaces that may touch.
+
+    Args:
+        contactor: carries the multiplier and the integration points; take the finer or softer side.
+        target: the surface that contactor points are projected onto.
+        friction: Coulomb's coefficient μ ≥ 0; 0 builds the problem with a scalar multiplier and no slip history.
+        epsilon_normal, epsilon_tangential: augmentation parameters ε_N, ε_T (Pa/m). By default both come from the bulk
+            stiffness at the surfaces; the answer depends on them only where a facet is partly closed.
+        quadrature_degree: of the contactor's Gauss points, default 2 × order + 1.
+        thickness: out of the plane (m), for two-dimensional bodies; the same as in the bulk's forms.
+        name: for messages and output.
+
+    Raises:
+        ValueError: on a friction that is negative or not finite, an ε that is not positive, or equal surfaces.
+    """
+
+    contactor: Surface
+    target: Surface
+    friction: float = 0.0
+    epsilon_normal: float | None = None
+    epsilon_tangential: float | None = None
+    quadrature_degree: int | None = None
+    thickness: float = 1.0
+    name: str = "contact"
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.friction) and self.friction >= 0):
+            raise ValueError(f"friction = {self.friction}: Coulomb's coefficient must be a number ≥ 0")
+        for label in ("epsilon_normal", "epsilon_tangential", "thickness"):
+            value = getattr(self, label)
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{label} = {value}: must be positive (leave it out for the default)")
+        if self.quadrature_degree is not None and not 0 <= self.quadrature_degree <= 30:
+            raise ValueError(f"quadrature_degree = {self.quadrature_degree}: must lie in 0 … 30")
+        a, b = self.contactor, self.target
+        if a.mesh is b.mesh and a.tags is b.tags and a.tag == b.tag:
+            raise ValueError(f"contactor and target are the same surface (tag {a.tag}): a pair needs two")
+
+
+@dataclass
+class Tangent:
+    """Element matrices (m, rows, components, columns, components) of eq. (6), with global block indices (m, nodes).
+
+    The bodies' rows are the nodes of the contactor's and the target's facet; with friction their columns have the nodes
+    of the old target facet e_{n−1} besides, eq. (9).
+    """
+
+    UU: tuple[Index, Index, Array]
+    UΛ: tuple[Index, Index, Array]
+    ΛU: tuple[Index, Index, Array]
+    ΛΛ: tuple[Index, Index, Array]
+
+
+class ContactPair:
+    """A :class:`Contact` on a displacement space: its state at the last evaluation, slip history and outputs."""
+
+    def __init__(
+        self, contact: Contact, V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC], stopwatch: Stopwatch
+    ) -> None:
+        for surface in (contact.contactor, contact.target):
+            if surface.mesh is not V.mesh:
+                raise ValueError(f"{contact.name}: a surface lives on another mesh than the displacement")
+        self.contact, self.space, self.name = contact, V, contact.name
+        self.stopwatch = stopwatch
+        self.gdim = V.mesh.geometry.dim
+        self.facets = Facets.of(contact.contactor, V)
+        self.target = Facets.of(contact.target, V).gather()
+        self.search = CandidateSearch(self.target)
+        blocks = V.dofmap.index_map.local_to_global(self.facets.dofs.ravel())
+        self.contactor_blocks: Index = blocks.reshape(self.facets.dofs.shape)
+        self._quadrature()
+        self.prescribed = prescribed_components(V, bcs)
+        self._make_scatter()
+        self._contactor_fixed = self.prescribed.x.array.reshape(-1, self.gdim)[self.facets.dofs] > 0
+        self._target_fixed = self._at_target(self.prescribed) > 0
+        self.multiplier = MultiplierSpace(self.facets, self.gdim if contact.friction else 1, self._redundant())
+        self.slots = Slots(self.gdim, self.multiplier.components, contact.friction > 0)
+        NΛ = np.einsum("qa,fiab->fqbi", self.N, self.multiplier.T)
+        #: (n, nodes, components) multiplier shape functions, redundant nodes eliminated
+        self.NΛ: Array = NΛ.reshape(-1, *NΛ.shape[2:])
+        Q = self.multiplier.field.function_space
+        self._nodal_maximum, area = fem.Function(Q), fem.Function(Q)
+        np.add.at(
+            area.x.array.reshape(-1, self.multiplier.components),
+            self.multiplier.dofs,
+            np.einsum("fq,fqbi->fbi", self.j, np.abs(NΛ)),
+        )
+        area.x.scatter_reverse(InsertMode.add)
+        self._node_area = area.x.petsc_vec.copy()
+        self._node_area.array[self._node_area.array_r == 0.0] = 1.0  # redundant nodes
+        self._touch = 1e-12 * self.target.size_of_facets  # gaps below are round-off
+
+    # ---------------------------------------------------------------- set-up
+
+    def _make_scatter(self) -> None:
+        """The way of the target's nodal values to every rank."""
+        where = PETSc.IS().createBlock(self.gdim, self.target.blocks.astype(np.int32), comm=PETSc.COMM_SELF)
+        self._target_vec = PETSc.Vec().createSeq(len(self.target.blocks) * self.gdim)
+        self._scatter = PETSc.Scatter().create(self.prescribed.x.petsc_vec, where, self._target_vec, None)
+
+    def _at_target(self, u: fem.Function) -> Array:
+        """(target nodes, gdim) values of a displacement field at the target's nodes (collective)."""
+        self._scatter.scatter(u.x.petsc_vec, self._target_vec)
+        return self._target_vec.array_r.reshape(-1, self.gdim).copy()
+
+    def _quadrature(self) -> None:
+        shape = self.facets.shape
+        degree = self.contact.quadrature_degree
+        points, weights = shape.quadrature(2 * shape.order + 1 if degree is None else degree)
+        self.N, self._dN = shape.tabulate(points, 1)  # (nq, nodes), (nq, dim, nodes)
+        area = np.linalg.norm(self._contactor_normal(self.facets.X), axis=2)
+        #: (nf, nq) weight × reference area of each Gauss point (m², thickness included)
+        self.j: Array = area * weights * self.contact.thickness
+        self.facet_of_point: Index = np.repeat(np.arange(self.facets.size), len(weights))
+        self.area = float(self.space.mesh.comm.allreduce(float(self.j.sum())))
+
+    def _contactor_normal(self, X: Array) -> Array:
+        """(nf, nq, gdim) outward normal × area ratio of the contactor with its nodes at X (nf, nodes, gdim)."""
+        normal = surface_normal(np.einsum("qak,fki->fqai", self._dN, X))
+        return normal * self.facets.orientation[:, None, None]
+
+    def _redundant(self) -> NDArray[np.bool_]:
+        """(nf, nodes, components) nodes prescribed on the contactor and, where they face it, on the target too."""
+        fixed = self._contactor_fixed.copy()
+        facet, node = np.nonzero(fixed.any(axis=2))
+        if len(facet):
+            x = self.facets.X[facet, node]
+            at = project(self.target, self.target.X, x, CandidateSearch(self.target)(x, self.target.X))
+            on_target = self._target_fixed[self.target.facets[at.point.facet]]
+            fixed[facet, node] &= np.einsum("nk,nki->ni", np.abs(at.N), on_target) > 1 - 1e-6
+        return fixed if self.contact.friction else fixed.all(axis=2, keepdims=True)
+
+    def surface_stiffness(self, diagonal: fem.Function) -> float:
+        """The softer side's mean nodal stiffness per facet area (Pa/m), from the diagonal (N/m) of the bulk's matrix."""
+        comm, t = self.space.mesh.comm, self.contact.thickness
+        own = diagonal.x.array.reshape(-1, self.gdim)[self.facets.dofs].mean(axis=(1, 2)) / self.j.sum(axis=1)
+        count = comm.allreduce(self.facets.size)
+        contactor = comm.allreduce(float(own.sum())) / count
+        k = self._at_target(diagonal)[self.target.facets].mean(axis=(1, 2))
+        target = float(np.mean(k / (self.target.areas() * t)))
+        return min(contactor, target)
+
+    def set_law(self, stiffness: float) -> None:
+        """Fix ε_N and ε_T: the user's, or the bulk's `stiffness` at the two surfaces (Pa/m)."""
+        c = self.contact
+        default = SOFTER * stiffness
+        εN = default if c.epsilon_normal is None else c.epsilon_normal
+        εT = default if c.epsilon_tangential is None else c.epsilon_tangential
+        self.stiffness = stiffness
+        self.ε = Augmentation(εN, εT)
+        # the residual of an open point, ν λ_N/ε_N − λ_T/ε_T, turns with ν unless ε_N = ε_T
+        self._same_ε = εN == εT or not c.friction
+        self.law: Frictionless | Coulomb = Coulomb(self.ε, c.friction) if c.friction else Frictionless(self.ε)
+
+    def start(self, u: fem.Function) -> None:
+        """Project for the first time; slip is counted from the state `u`. Points that touch count as closed.
+
+        Raises:
+            ValueError: on every rank, if contactor and target face the same way all over: one is the wrong side.
+        """
+        x, nodes = self._displaced(u)
+        self.at = project(self.target, nodes, x, self.search(x, nodes))
+        self._target_nodes = nodes
+        self.commit()
+        self.closed = self.at.facing & (self.at.g >= -self._touch)
+        self.fresh, self.patience = True, PATIENCE
+        self.evaluate(u)
+        X = self.facets.X + u.x.array.reshape(-1, self.gdim)[self.facets.dofs]
+        normal = self._contactor_normal(X).reshape(-1, self.gdim)
+        cosine = np.einsum("ni,ni->n", normal, self.at.ν) / np.linalg.norm(normal, axis=1)
+        comm = self.space.mesh.comm
+        facing = comm.allreduce(int(self.at.facing.sum()))
+        same_way = comm.allreduce(int((self.at.facing & (cosine > 0.5)).sum()))
+        if facing and same_way == facing:
+            raise ValueError(
+                f"{self.name}: the target (tag {self.contact.target.tag}) faces away from the contactor "
+                f"(tag {self.contact.contactor.tag}) everywhere: pass the side of the body that faces it"
+            )
+
+    # ---------------------------------------------------------------- state
+
+    def _displaced(self, u: fem.Function) -> tuple[Array, Array]:
+        """Contactor points (n, gdim) and target nodes (·, gdim) where `u` has moved them; u's ghosts are up to date."""
+        X = self.facets.X + u.x.array.reshape(-1, self.gdim)[self.facets.dofs]
+        x = np.einsum("qa,fai->fqi", self.N, X).reshape(-1, self.gdim)
+        return x, self.target.X + self._at_target(u)
+
+    def evaluate(self, u: fem.Function) -> None:
+        """Closest points, slip and law at displacement `u` and at the multiplier field; ghosts are up to date."""
+        with self.stopwatch("search"):
+            x, nodes = self._displaced(u)
+            self._target_nodes = nodes
+            near = self.search(x, nodes)
+        with self.stopwatch("projection"):
+            self.at = project(self.target, nodes, x, near, self.at.point)
+        with self.stopwatch("contact"):
+            self.Λ = np.einsum("nai,nai->ni", self.NΛ, self.multiplier.own_nodal()[self.facet_of_point])
+            self.s = self.slip() if self.contact.friction else None
+            self._apply_law(np.where(self.closed, -np.inf, np.inf))
+
+    def _apply_law(self, threshold: Array) -> None:
+        self.state: LawState = self.law.evaluate(self.Λ, self.at, self.s, threshold)
+
+    def switch(self, residual: PETSc.Vec) -> None:
+        """Let points open and close, as far as the gaps are known (``docs/newton.md``).
+
+        `residual` is the multiplier's residual with the points held open or closed as they were. Divided by the nodes' area
+        it is how well the gap condition is met, the error e of all gaps. A point that was open closes where λ̂_N exceeds
+        `patience`·ε_N e and is the deepest in its neighbourhood; one that was closed opens where λ̂_N is as far below zero.
+        As Newton converges e vanishes and what remains is eq. (1).
+        """
+        error = residual.duplicate()
+        error.pointwiseDivide(residual, self._node_area)
+        known = self.ε.normal * (self.patience * error.norm(PETSc.NormType.NORM_INFINITY) + self._touch)
+        λ, was_closed = self.state.λN_hat, self.closed
+        close = np.maximum(known, DEEPEST * self._neighbourhood_maximum(np.where(was_closed, 0.0, λ)))
+        release = -known
+        if self.fresh:  # no history: what presses weakly in an all-closed start may open at once
+            pressure = self.space.mesh.comm.allreduce(float(λ[was_closed].max(initial=0.0)), MPI.MAX)
+            if known < WEAK**2 * pressure:
+                release, self.fresh = WEAK * pressure, False
+        self._apply_law(np.where(was_closed, release, close))
+        self.closed = self.state.status != OPEN
+
+    def _neighbourhood_maximum(self, λ: Array) -> Array:
+        """(n,) the largest positive λ (n,) on a point's facet and the facets that share a node with it."""
+        nf, nq = self.j.shape
+        facet = np.where(self.at.facing, λ, 0.0).reshape(nf, nq).max(axis=1, initial=0.0)
+        Q = self._nodal_maximum
+        nodal = Q.x.array.reshape(-1, self.multiplier.components)
+        nodal[:] = 0.0
+        np.maximum.at(nodal[:, 0], self.multiplier.dofs, facet[:, None])
+        Q.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
+        Q.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
+        return np.repeat(nodal[:, 0][self.multiplier.dofs].max(axis=1, initial=0.0), nq)
+
+    def slip(self) -> Array:
+        """s = V_T Δt = 𝐲 − φ₂(Y_{n−1}, t), eq. (5): (n, gdim) in m."""
+        old = self._target_nodes[self.target.facets[self.history.facet]]
+        return self.at.y - np.einsum("nk,nki->ni", self._N_old, old)
+
+    def commit(self) -> None:
+        """The step has converged: Y_{n−1} ← Y."""
+        self.restore(self.at.point)
+        self.fresh = False
+
+    def restore(self, history: TargetPoint, λN_hat: Array | None = None) -> None:
+        """Count the slip from the target points `history`; with `λN_hat` (n,) expect the contact state that it says."""
+        self.history = history.copy()
+        if λN_hat is not None:
+            self.closed = self.at.facing & (λN_hat >= 0.0)
+        self._N_old = self.target.shape.tabulate(history.η)[0]
+
+    # ---------------------------------------------------------------- element arrays
+
+    def _closed(self) -> Index:
+        return np.flatnonzero(self.state.status != OPEN)
+
+    def multiplier_residual(self) -> tuple[Index, Array]:
+        """∫ r·N1 Λ* dS₀, eq. (4): global blocks (nf, nodes) and element vectors (nf, nodes, components)."""
+        jr = self.j.reshape(-1, 1) * self.state.r
+        values = (self.NΛ * jr[:, None, :]).reshape(*self.j.shape, *self.NΛ.shape[1:]).sum(axis=1)
+        return self.multiplier.blocks, values
+
+    def body_residual(self) -> list[tuple[Index, Array]]:
+        """−∫ t·(N1 U1* − N2(η) U2*) dS₀, eq. (4), on the contactor's and the target's nodes; 0 where prescribed."""
+        jt = self.j.reshape(-1, 1) * self.state.t
+        on_contactor = -np.einsum("qa,fqi->fai", self.N, jt.reshape(*self.j.shape, -1))
+        closed = self._closed()
+        on_target = self.at.N[closed][:, :, None] * jt[closed][:, None, :]
+        nodes = self.target.facets[self.at.point.facet[closed]]
+        return [
+            (self.contactor_blocks, on_contactor * ~self._contactor_fixed),
+            (self.target.blocks[nodes], on_target * ~self._target_fixed[nodes]),
+        ]
+
+    def tangent(self) -> Tangent:
+        """Contact's share of the Jacobian, eq. (6), as j Bᵀ C B of every closed point."""
+        act = self._closed() if self._same_ε else np.arange(len(self.facet_of_point))
+        at, s = self.at.take(act), None if self.s is None else self.s[act]
+        state = self.state.take(act)
+        δ = vary(at, self.slots)
+        δt, δr = self.law.linearise(state, self.Λ[act], at, s, δ)
+        facet, j = self.facet_of_point[act], self.j.reshape(-1)[act]
+
+        n, d, m = len(act), self.gdim, self.multiplier.components
+        # rows: δ of −t (on N1 U1*), t (on N2 U2*), and t_i η^α (on N2,α U2*): the moving η moves the test function too
+        moving = state.t[:, None, :, None] * δ.η[:, :, None, :]
+        C = np.concatenate([np.stack([-δt, δt], axis=1), moving], axis=1) * j[:, None, None, None]
+        rows, columns = self._row_operator(act, at), self._column_operator(act, at)
+        NΛ, δr = self.NΛ[act], δr * j[:, None, None]
+        z = d * self.slots.displacement_slots
+
+        C_U = _apply_columns(C[..., :z].reshape(n, -1, z), columns, d)  # (n, slots·d, nodes, d)
+        UU = (np.swapaxes(rows, 1, 2) @ C_U.reshape(n, rows.shape[1], -1)).reshape(n, rows.shape[2], d, -1, d)
+        C_Λ = C[..., z:].reshape(n, rows.shape[1], d * m)
+        UΛ = (np.swapaxes(rows, 1, 2) @ C_Λ).reshape(n, rows.shape[2], d, 1, m) * NΛ[:, None, None]
+        r_U = _apply_columns(δr[..., :z], columns, d)  # (n, m, nodes, d)
+        ΛU = NΛ[:, :, :, None, None] * r_U[:, None]
+
+        ΛΛ_point = np.broadcast_to(np.eye(m) / self.ε.normal, (len(self.NΛ), m, m)).copy()
+        ΛΛ_point *= self.j.reshape(-1, 1, 1)
+        ΛΛ_point[act] = δr[..., z:]
+        nf, nq = self.j.shape
+        ΛΛ = self.NΛ[:, :, :, None, None] * ΛΛ_point[:, None, :, None, :] * self.NΛ[:, None, None]
+        ΛΛ = ΛΛ.reshape(nf, nq, *ΛΛ.shape[1:]).sum(axis=1)
+
+        runs, target, old = self._runs(facet, at, act)
+        U_rows = np.concatenate([self.contactor_blocks[facet[runs]], self.target.blocks[target]], axis=1)
+        fixed = np.concatenate([self._contactor_fixed[facet[runs]], self._target_fixed[target]], axis=1)
+        U_columns = np.concatenate([U_rows, self.target.blocks[old]], axis=1) if self.contact.friction else U_rows
+        Λ_nodes, free = self.multiplier.blocks[facet[runs]], ~fixed[:, :, :, None, None]
+        return Tangent(
+            (U_rows, U_columns, _add_runs(UU, runs) * free),
+            (U_rows, Λ_nodes, _add_runs(UΛ, runs) * free),
+            (Λ_nodes, U_columns, _add_runs(ΛU, runs)),
+            (self.multiplier.blocks, self.multiplier.blocks, ΛΛ),
+        )
+
+    def _row_operator(self, act: Index, at: Projection) -> Array:
+        """(n, 2 + dim, nodes of the contactor's and the target's facet): N1; N2, N2,α."""
+        N1 = np.tile(self.N, (self.facets.size, 1))[act]
+        n, k1 = N1.shape
+        B = np.zeros((n, 2 + self.slots.dim, k1 + at.N.shape[1]))
+        B[:, 0, :k1], B[:, 1, k1:], B[:, 2:, k1:] = N1, at.N, at.dN
+        return B
+
+    def _column_operator(self, act: Index, at: Projection) -> Array:
+        """The row operator, and with friction N2(η_{n−1}) on the nodes of the old target facet."""
+        rows = self._row_operator(act, at)
+        if not self.contact.friction:
+            return rows
+        N_old = self._N_old[act]
+        n, r, k = rows.shape
+        B = np.zeros((n, r + 1, k + N_old.shape[1]))
+        B[:, :r, :k], B[:, r, k:] = rows, N_old
+        return B
+
+    def _runs(self, facet: Index, at: Projection, act: Index) -> tuple[Index, Index, Index]:
+        """Points that follow each other with the same facets share one element matrix: where each run starts, and the
+        node numbers (runs, nodes) of its target facet and old target facet."""
+        old = self.history.facet[act]
+        key = np.stack([facet, at.point.facet, old if self.contact.friction else facet])
+        starts = np.flatnonzero(np.r_[True, (np.diff(key, axis=1) != 0).any(axis=0)][: key.shape[1]])
+        return starts, self.target.facets[at.point.facet[starts]], self.target.facets[old[starts]]
+
+    # ---------------------------------------------------------------- sparsity
+
+    def couples(self) -> Index:
+        """Where the matrices have entries: the couples (contactor facet, target facet, old target facet) of the closed
+        points, sorted, each as one integer."""
+        closed = self._closed() if self._same_ε else np.arange(len(self.facet_of_point))
+        target = self.at.point.facet[closed]
+        old = self.history.facet[closed] if self.contact.friction else target
+        shape = (max(self.facets.size, 1), len(self.target.facets), len(self.target.facets))
+        return np.unique(np.ravel_multi_index((self.facet_of_point[closed], target, old), shape))
+
+    def pattern(self, couples: Index) -> list[tuple[Index, Index, Array]]:
+        """Zero element matrices (UU, UΛ, ΛU, ΛΛ) with the global blocks of the given couples."""
+        shape = (max(self.facets.size, 1), len(self.target.facets), len(self.target.facets))
+        facet, target, old = np.unravel_index(couples, shape)
+        bodies = [self.contactor_blocks[facet], self.target.blocks[self.target.facets[target]]]
+        rows = np.concatenate(bodies, axis=1)
+        past = [self.target.blocks[self.target.facets[old]]] if self.contact.friction else []
+        columns = np.concatenate([rows, *past], axis=1)
+        Λ, own, d, m = self.multiplier.blocks[facet], self.multiplier.blocks, self.gdim, self.multiplier.components
+        places = [(rows, columns, d, d), (rows, Λ, d, m), (Λ, columns, m, d), (own, own, m, m)]
+        return [(i, j, np.zeros((len(i), i.shape[1], a, j.shape[1], b))) for i, j, a, b in places]
+
+    # ---------------------------------------------------------------- outputs
+
+    def force(self) -> Array:
+        """(gdim,) resultant of the contact tractions on the contactor (N), collective."""
+        return self.space.mesh.comm.allreduce(np.einsum("n,ni->i", self.j.reshape(-1), self.state.t))
+
+    def nodal_forces(self) -> float:
+        """Norm of the contactor's nodal contact forces ∫ N |t| (N), collective: the scale of both residuals."""
+        nf, nq = self.j.shape
+        size = (self.j * np.linalg.norm(self.state.t, axis=1).reshape(nf, nq)) @ np.abs(self.N)
+        return float(np.sqrt(self.space.mesh.comm.allreduce(float(np.sum(size**2)))))
+
+    def closed_fraction(self) -> float:
+        """Closed part of the contactor's reference area, collective."""
+        return self._share(self.state.status != OPEN)
+
+    def stick_fraction(self) -> float:
+        """Sticking part of the contactor's reference area, collective."""
+        return self._share(self.state.status == STICK)
+
+    def _share(self, points: NDArray[np.bool_]) -> float:
+        return float(self.space.mesh.comm.allreduce(float(self.j.reshape(-1)[points].sum()))) / self.area
+
+    def points(self) -> Array:
+        """(n, gdim) reference positions of this rank's Gauss points (m)."""
+        return np.einsum("qa,fai->fqi", self.N, self.facets.X).reshape(-1, self.gdim)
+
+
+def _apply_columns(C: Array, B: Array, d: int) -> Array:
+    """Σ_s C[…, s, j] B[s, b]: C (n, R, slots × d) and B (n, slots, nodes) to (n, R, nodes, d)."""
+    n, R, z = C.shape
+    return np.swapaxes(np.swapaxes(C.reshape(n, R, z // d, d), 2, 3) @ B[:, None], 2, 3)
+
+
+def _add_runs(values: Array, starts: Index) -> Array:
+    return np.add.reduceat(values, starts, axis=0) if len(starts) else values
+
+
+def prescribed_components(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> fem.Function:
+    """1 at the components of V's nodes that a Dirichlet condition prescribes, 0 elsewhere; ghosts agree."""
+    flag = fem.Function(V)
+    for bc in bcs:
+        dofs, owned = bc.dof_indices()
+        flag.x.array[dofs[:owned]] = 1.0
+    flag.x.scatter_forward()
+    return flag

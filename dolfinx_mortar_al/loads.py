@@ -1,0 +1,33 @@
+"""External virtual work as UFL: subtract it from the internal virtual work to get the residual.
+
+Tractions are nominal: force per reference area (Pa), or per reference length times thickness in two dimensions.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import ufl
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+from dolfinx_mortar_al.materials import deformation_gradient
+
+__all__ = ["axis_normal", "dead_traction", "follower_force"]
+
+
+def dead_traction(u: fem.Function, traction: Expr, ds: ufl.Measure) -> Any:
+    """∫ 𝐭₀·v dS₀ with a traction 𝐭₀ (Pa × thickness) that keeps its direction."""
+    return ufl.inner(traction, ufl.TestFunction(u.function_space)) * ds
+
+
+def axis_normal(u: fem.Function) -> Expr:
+    """Unit vector at right angles to the deformed axis 𝐅𝐞_X, turned from it by −90° in the X-Y plane."""
+    F = deformation_gradient(u)
+    turned = [F[1, 0], -F[0, 0]] + [0] * (len(u) - 2)
+    return ufl.as_vector(turned) / ufl.sqrt(F[0, 0] ** 2 + F[1, 0] ** 2)
+
+
+def follower_force(u: fem.Function, traction: Expr, ds: ufl.Measure) -> Any:
+    """∫ t 𝐧(u)·v dS₀: a traction t (Pa × thickness) along :func:`axis_normal`, as on the tip of a beam (section 4.1)."""
+    return traction * ufl.inner(axis_normal(u), ufl.TestFunction(u.function_space)) * ds

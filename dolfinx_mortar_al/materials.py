@@ -1,0 +1,105 @@
+"""Hyperelastic materials as UFL: the deformation gradient 𝐅 in, the first Piola stress 𝐏 = ∂w/∂𝐅 out.
+
+In two dimensions every law is meant in plane strain. Nothing here knows about contact: any other UFL residual can take
+the place of :meth:`Hyperelastic.virtual_work`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import ufl
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+__all__ = [
+    "Hyperelastic",
+    "NeoHookean",
+    "SaintVenantKirchhoff",
+    "deformation_gradient",
+    "lame",
+    "neo_hookean",
+    "saint_venant_kirchhoff",
+]
+
+
+def deformation_gradient(u: fem.Function) -> Expr:
+    """𝐅 = 𝐈 + ∇u (dimensionless)."""
+    return ufl.Identity(len(u)) + ufl.grad(u)
+
+
+def lame(E: float, ν: float) -> tuple[float, float]:
+    """Lamé's (G, Λ) in Pa from Young's modulus E (Pa) and Poisson's ratio ν."""
+    if not E > 0:
+        raise ValueError(f"E = {E}: Young's modulus must be positive (Pa)")
+    if not -1 < ν < 0.5:
+        raise ValueError(f"nu = {ν}: Poisson's ratio must lie in (-1, 0.5)")
+    return E / (2 * (1 + ν)), E * ν / ((1 + ν) * (1 - 2 * ν))
+
+
+@dataclass(frozen=True)
+class Hyperelastic(ABC):
+    """A stored energy w(𝐅) per reference volume, with Lamé's moduli G and Λ in Pa."""
+
+    G: float
+    Λ: float
+
+    @abstractmethod
+    def energy(self, F: Expr) -> Expr:
+        """w(𝐅) in J/m³."""
+
+    @abstractmethod
+    def first_piola(self, F: Expr) -> Expr:
+        """𝐏 = ∂w/∂𝐅 in Pa, written out (shorter kernels than an automatic derivative)."""
+
+    def virtual_work(self, u: fem.Function, v: Expr | None = None, *, thickness: float = 1.0, degree: int | None = None):
+        """Internal virtual work ∫ 𝐏(u) : ∇v dΩ, the form G_int of eq. (1).
+
+        Args:
+            u: displacement (m).
+            v: virtual displacement, default the test function of u's space.
+            thickness: of the body out of the plane (m), for a two-dimensional u.
+            degree: of the quadrature, default twice the order of u.
+        """
+        V = u.function_space
+        v = ufl.TestFunction(V) if v is None else v
+        degree = 2 * V.ufl_element().embedded_subdegree if degree is None else degree
+        dx = ufl.Measure("dx", V.mesh, metadata={"quadrature_degree": degree})
+        return thickness * ufl.inner(self.first_piola(deformation_gradient(u)), ufl.grad(v)) * dx
+
+
+class SaintVenantKirchhoff(Hyperelastic):
+    """w = Λ/2 (tr 𝐄)² + G 𝐄:𝐄 with the Green–Lagrange strain 𝐄 = (𝐅ᵀ𝐅 − 𝐈)/2."""
+
+    def energy(self, F: Expr) -> Expr:
+        E = (F.T * F - ufl.Identity(F.ufl_shape[0])) / 2
+        return self.Λ / 2 * ufl.tr(E) ** 2 + self.G * ufl.inner(E, E)
+
+    def first_piola(self, F: Expr) -> Expr:
+        I = ufl.Identity(F.ufl_shape[0])
+        E = (F.T * F - I) / 2
+        return F * (self.Λ * ufl.tr(E) * I + 2 * self.G * E)
+
+
+class NeoHookean(Hyperelastic):
+    """w = G/2 (I₁ − 3) − G/2 ln I₃ + Λ/8 (ln I₃)², section 4.2 of the paper (its μ, λ are G, Λ here)."""
+
+    def energy(self, F: Expr) -> Expr:
+        out_of_plane = 3 - F.ufl_shape[0]
+        I1, lnI3 = ufl.inner(F, F) + out_of_plane, 2 * ufl.ln(ufl.det(F))
+        return self.G / 2 * (I1 - 3 - lnI3) + self.Λ / 8 * lnI3**2
+
+    def first_piola(self, F: Expr) -> Expr:
+        F_inv_T = ufl.inv(F).T
+        return self.G * (F - F_inv_T) + self.Λ * ufl.ln(ufl.det(F)) * F_inv_T
+
+
+def saint_venant_kirchhoff(E: float, nu: float) -> SaintVenantKirchhoff:
+    """St Venant–Kirchhoff material from Young's modulus E (Pa) and Poisson's ratio ν."""
+    return SaintVenantKirchhoff(*lame(E, nu))
+
+
+def neo_hookean(E: float, nu: float) -> NeoHookean:
+    """The paper's neo-Hookean material from Young's modulus E (Pa) and Poisson's ratio ν."""
+    return NeoHookean(*lame(E, nu))

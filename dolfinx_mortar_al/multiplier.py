@@ -1,0 +1,127 @@
+"""The multiplier field Λ on a contactor's facets: its space, and the nodes where it is redundant.
+
+Where the displacement is prescribed on both sides (the common clamp of section 4.1, a symmetry plane) the gap is given and
+the multiplier's node has nothing to enforce: kept, it would make the system singular. There the field is extrapolated
+from the facet's other nodes (one order lower across the facet), component by component.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from dolfinx import fem, mesh
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.surface import Facets, ShapeFunctions
+
+__all__ = ["MultiplierSpace", "extrapolation"]
+
+Array = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+
+def extrapolation(shape: ShapeFunctions, kept: Bool) -> Array:
+    """(nodes, nodes) matrix T: nodal values T Λ with the values off `kept` (nodes,) extrapolated from those on it.
+
+    The extrapolation is the polynomial of highest total degree that the kept nodes determine; with none it is zero.
+    """
+    n = shape.nodes.shape[0]
+    if kept.all():
+        return np.eye(n)
+    if not kept.any():
+        return np.zeros((n, n))
+    for degree in range(shape.order, -1, -1):
+        powers = [p for p in np.ndindex(*(shape.dim * [degree + 1])) if sum(p) <= degree]
+        monomials = np.stack([np.prod(shape.nodes**p, axis=1) for p in powers], axis=1)
+        if np.linalg.matrix_rank(monomials[kept]) == len(powers):
+            break
+    T = np.zeros((n, n))
+    T[np.ix_(~kept, kept)] = monomials[~kept] @ np.linalg.pinv(monomials[kept])
+    T[kept, kept] = 1.0
+    return T
+
+
+class MultiplierSpace:
+    """Lagrange multipliers of the displacement's order on the contactor's facets.
+
+    Attributes:
+        field: the multiplier, a Function on the facets' own mesh: λ_N (Pa), or Λ in global axes (Pa) with friction.
+        dofs: (nf, nodes) local block dofs, in the facets' node order; blocks: the same, global.
+        components: 1 (λ_N) or gdim (Λ).
+        redundant: (nf, nodes, components) nodes whose value is extrapolated.
+        T: (nf, components, nodes, nodes) extrapolation of each facet.
+    """
+
+    def __init__(self, facets: Facets, components: int, redundant: Bool) -> None:
+        domain = facets.space.mesh
+        self.components = components
+        self.submesh, entities = mesh.create_submesh(domain, domain.topology.dim - 1, facets.entities)[:2]
+        shape = (components,) if components > 1 else ()
+        V = fem.functionspace(self.submesh, ("Lagrange", facets.shape.order, shape))
+        self.field = fem.Function(V, name="multiplier")
+        self.dofs = _match(V, facets, np.asarray(entities))
+        self.blocks = V.dofmap.index_map.local_to_global(self.dofs.ravel()).reshape(self.dofs.shape)
+        self._mark(redundant)
+        self.T = self._extrapolations(facets.shape)
+
+    def _mark(self, redundant: Bool) -> None:
+        """A node is redundant on every rank and facet that has it, or on none."""
+        V = self.field.function_space
+        flag = fem.Function(V)
+        values = flag.x.array.reshape(-1, self.components)
+        np.maximum.at(values, self.dofs, redundant.astype(float))
+        flag.x.scatter_reverse(_add())
+        flag.x.scatter_forward()
+        flags = flag.x.array.reshape(-1, self.components) > 0
+        self.redundant = flags[self.dofs]
+        owned = V.dofmap.index_map.size_local
+        start = V.dofmap.index_map.local_range[0] * self.components
+        #: global dofs (not blocks) owned by this rank whose value is extrapolated: the system holds 0 there
+        self.idle = (np.flatnonzero(flags[:owned].ravel()) + start).astype(np.int32)
+
+    def _extrapolations(self, shape: ShapeFunctions) -> Array:
+        n = shape.nodes.shape[0]
+        T = np.broadcast_to(np.eye(n), (len(self.dofs), self.components, n, n)).copy()
+        for f, i in zip(*np.nonzero(self.redundant.any(axis=1)), strict=True):  # few, and only at set-up
+            T[f, i] = extrapolation(shape, ~self.redundant[f, :, i])
+        return T
+
+    @property
+    def size(self) -> int:
+        """Unknowns on all ranks."""
+        return self.field.function_space.dofmap.index_map.size_global * self.components
+
+    def own_nodal(self) -> Array:
+        """(nf, nodes, components) the unknowns of each facet, as they stand (0 at redundant nodes)."""
+        return self.field.x.array.reshape(-1, self.components)[self.dofs]
+
+    def nodal(self) -> Array:
+        """(nf, nodes, components) nodal values on each facet, extrapolated ones included."""
+        return np.einsum("fiab,fbi->fai", self.T, self.own_nodal())
+
+    def complete(self) -> fem.Function:
+        """A copy of the field for output, the redundant nodes filled with their extrapolated values."""
+        filled = self.field.copy()
+        filled.name = self.field.name
+        values = filled.x.array.reshape(-1, self.components)
+        where = np.nonzero(self.redundant)
+        values[self.dofs[where[0], where[1]], where[2]] = self.nodal()[where]
+        return filled
+
+
+def _add() -> Any:
+    from dolfinx.la import InsertMode
+
+    return InsertMode.add
+
+
+def _match(V: fem.FunctionSpace, facets: Facets, entities: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(nf, nodes) dofs of V on each facet, brought to the facets' node order by position."""
+    position = np.full(int(max(entities.max(initial=-1), facets.entities.max(initial=-1))) + 1, -1)
+    position[entities] = np.arange(len(entities))
+    dofs = V.dofmap.list[position[facets.entities]]  # (nf, nodes) in the submesh's own order
+    x = V.tabulate_dof_coordinates()[:, : facets.X.shape[-1]][dofs]
+    distance = np.linalg.norm(facets.X[:, :, None] - x[:, None], axis=3)
+    order = np.argmin(distance, axis=2) if len(dofs) else np.empty(dofs.shape, dtype=np.int64)
+    return np.take_along_axis(dofs, order, axis=1)

@@ -1,0 +1,159 @@
+"""Coupled Newton solve by PETSc SNES: convergence per block, guarded trial steps, detection of cycles.
+
+Options reach SNES, KSP and PC from the command line under the solver's prefix (default ``contact_``):
+``-contact_snes_monitor -contact_snes_max_it 40 -contact_pc_factor_mat_solver_type superlu_dist``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+from petsc4py import PETSc
+
+from dolfinx_mortar_al.contact import PATIENCE
+from dolfinx_mortar_al.problem import ContactProblem
+
+__all__ = ["NewtonResult", "NewtonSolver"]
+
+_Reason = PETSc.SNES.ConvergedReason
+
+MAX_CYCLES = 6
+
+
+@dataclass
+class NewtonResult:
+    """Whether Newton converged, in how many iterations, the norms of each block, and why not."""
+
+    converged: bool = False
+    iterations: int = 0
+    message: str = ""
+    norms: list[list[float]] = field(default_factory=list)
+
+
+class NewtonSolver:
+    """SNES on a :class:`~dolfinx_mortar_al.problem.ContactProblem`.
+
+    Args:
+        problem: the problem.
+        rtol: of both blocks: forces against the bulk's and the contact's, gaps against pressure over stiffness.
+        max_iterations: of one solve; `-contact_snes_max_it` overrides it.
+        prefix: of the PETSc options.
+    """
+
+    def __init__(
+        self, problem: ContactProblem, *, rtol: float = 1e-9, max_iterations: int = 30, prefix: str = "contact_"
+    ) -> None:
+        self.problem, self.rtol = problem, rtol
+        snes = PETSc.SNES().create(problem.comm)
+        snes.setOptionsPrefix(prefix)
+        snes.setFunction(self._function, problem.residual)
+        snes.setJacobian(self._jacobian, problem.matrix)
+        snes.setConvergenceTest(self._test)
+        snes.setTolerances(max_it=max_iterations)
+        snes.setLineSearchPreCheck(self._guard)
+        ksp = snes.getKSP()
+        ksp.setType("preonly")
+        ksp.getPC().setType("lu")
+        ksp.getPC().setFactorSolverType("mumps")
+        options = PETSc.Options(prefix)
+        if not options.hasName("snes_linesearch_type"):
+            options["snes_linesearch_type"] = "basic"  # the norm of mixed units says nothing about progress
+        snes.setFromOptions()
+        self.snes = snes
+
+    def solve(self) -> NewtonResult:
+        """Solve from the problem's present state; on failure the state is the last trial's, to be restored."""
+        p = self.problem
+        self.result = NewtonResult()
+        self._patterns: list[int] = []
+        self._cycles, self._damping = 0, 1.0
+        for pair in p.pairs:
+            pair.patience = PATIENCE
+        self._linear_start = perf_counter()
+        p.pack(p.x)
+        with p.stopwatch("newton"):
+            self.snes.solve(None, p.x)
+        self.result.iterations = self.snes.getIterationNumber()
+        reason = self.snes.getConvergedReason()
+        self.result.converged = reason > 0
+        if reason > 0:
+            p.unpack(p.x)
+            if p.inverted_volume() > 0:
+                self.result.converged, self.result.message = False, "det F ≤ 0 in the converged state"
+        elif not self.result.message:
+            self.result.message = self._failure(reason)
+        return self.result
+
+    # ---------------------------------------------------------------- callbacks
+
+    def _function(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        self.problem.assemble_residual(x, f)
+
+    def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
+        self.problem.assemble_jacobian()
+        self._linear_start = perf_counter()
+
+    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
+        f = self.problem.residual.getNestSubVecs() if iteration == 0 else snes.getFunction()[0].getNestSubVecs()
+        ratio = [v.norm() / scale for v, scale in zip(f, self._scales(), strict=True)]
+        self.result.norms.append(ratio)
+        if not np.isfinite(ratio).all():
+            self.result.message = "the residual is not a number"
+            return _Reason.DIVERGED_FNORM_NAN
+        if max(ratio) <= 1.0:
+            return _Reason.CONVERGED_FNORM_ABS
+        if iteration >= snes.getTolerances()[3]:
+            return _Reason.DIVERGED_MAX_IT
+        return self._watch_pattern(iteration)
+
+    def _scales(self) -> list[float]:
+        """The norm below which each block counts as converged."""
+        p = self.problem
+        forces = [pair.nodal_forces() for pair in p.pairs]
+        scale_U = max([p.force_scale, *forces])
+        scales = [max(self.rtol * scale_U, p.force_floor)]
+        for pair, force, floor in zip(p.pairs, forces, p.gap_floor, strict=True):
+            scales.append(max(self.rtol * force / pair.stiffness, floor))
+        return scales
+
+    def _watch_pattern(self, iteration: int) -> int | None:
+        """When the open/slip/stick pattern comes back to an earlier one, damp the next step and hold the contact state
+        longer; give up when that does not help."""
+        pattern = self.problem.contact_pattern()
+        self._damping = 1.0
+        if pattern in self._patterns[:-1] and pattern != self._patterns[-1]:
+            self._cycles += 1
+            self._damping = 0.5
+            for pair in self.problem.pairs:
+                pair.patience *= 10.0
+            if self._cycles > MAX_CYCLES:
+                self.result.message = f"the contact state cycles, {self.problem.flipping_points()}"
+                return _Reason.DIVERGED_LOCAL_MIN
+        self._patterns.append(pattern)
+        return None
+
+    def _guard(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
+        """Shorten the step x ← x − y until no cell is inverted."""
+        p = self.problem
+        p.stopwatch.add("linear solve", perf_counter() - self._linear_start)
+        length = self._damping
+        with p.stopwatch("guard"):
+            xu, yu = x.getNestSubVecs()[0], y.getNestSubVecs()[0]
+            for _ in range(12):
+                p.u.x.array[: xu.getLocalSize()] = xu.array_r - length * yu.array_r
+                p.u.x.scatter_forward()
+                if p.inverted_volume() <= 0:
+                    break
+                length /= 2
+        if length < 1.0:
+            y.scale(length)
+        return length < 1.0
+
+    def _failure(self, reason: int) -> str:
+        last = self.result.norms[-1] if self.result.norms else []
+        names = ["equilibrium", *(pair.name for pair in self.problem.pairs)]
+        open_blocks = ", ".join(f"{n} at {v:.1e} of its tolerance" for n, v in zip(names, last, strict=True) if v > 1)
+        known = {_Reason.DIVERGED_MAX_IT: "no convergence", _Reason.DIVERGED_LINEAR_SOLVE: "the linear solve failed"}
+        return f"{known.get(reason, f'SNES stopped with reason {reason}')} after {self.result.iterations} iterations: {open_blocks}"

@@ -1,0 +1,360 @@
+"""The coupled problem, eq. (3): a UFL bulk residual and contact pairs in PETSc nested vectors and matrices.
+
+Unknowns are [U, Λ₁, Λ₂, …], one multiplier block per pair; the Jacobian is the MATNEST of eq. (6). Contact couples nodes
+of ranks that share no ghost: element blocks are inserted with global indices and PETSc ships the rows of other ranks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc as dolfinx_petsc
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from dolfinx_mortar_al.contact import Contact, ContactPair
+from dolfinx_mortar_al.materials import deformation_gradient
+from dolfinx_mortar_al.projection import TargetPoint
+from dolfinx_mortar_al.stopwatch import Stopwatch
+
+__all__ = ["ContactProblem", "State"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass
+class State:
+    """What a step may change, on this rank: displacement, and of each pair multiplier, slip history and λ̂_N."""
+
+    u: Array
+    multipliers: list[Array]
+    history: list[TargetPoint]
+    pressures: list[Array]
+
+
+class ContactProblem:
+    """Bulk residual F(u; v) = 0 with contact pairs.
+
+    Args:
+        F: UFL residual, internal minus external virtual work, linear in the test function.
+        u: displacement (m), Lagrange of order 1 or 2 with gdim components; holds the start state.
+        bcs: Dirichlet conditions on u.
+        contacts: the pairs.
+        jacobian: UFL bilinear form, default the derivative of F in the direction of u.
+
+    Raises:
+        ValueError: on every rank: a space that is not Lagrange of order 1 or 2 with gdim components, a mesh whose
+            geometry is of higher order than u, a surface problem (see :class:`~dolfinx_mortar_al.contact.Contact`), or a
+            start state with det F ≤ 0.
+    """
+
+    def __init__(
+        self,
+        F: Any,
+        u: fem.Function,
+        *,
+        bcs: Sequence[fem.DirichletBC] = (),
+        contacts: Sequence[Contact] = (),
+        jacobian: Any = None,
+    ) -> None:
+        self.stopwatch = Stopwatch()
+        self.u, self.V, self.bcs = u, u.function_space, list(bcs)
+        self.comm: MPI.Intracomm = self.V.mesh.comm
+        _check_space(self.V)
+        with self.stopwatch("forms"):
+            self.F = fem.form(F)
+            self.J = fem.form(ufl.derivative(F, u) if jacobian is None else jacobian)
+            self._inverted = self._inversion_form()
+        u.x.scatter_forward()
+        if self.inverted_volume() > 0:
+            raise ValueError("u: det F ≤ 0 somewhere in the start state; start from a displacement without inverted cells")
+        with self.stopwatch("contact set-up"):
+            self.pairs = [ContactPair(c, self.V, self.bcs, self.stopwatch) for c in contacts]
+        with self.stopwatch("bulk"):
+            stiffness = self._create_matrices()
+        for pair in self.pairs:
+            pair.set_law(pair.surface_stiffness(stiffness))
+            pair.start(u)
+        self.force_scale = self.force_floor = 0.0
+        diameter = _diameter(self.V)
+        self.force_floor = 2e-15 * stiffness.x.array.max(initial=0.0) * diameter
+        self.force_floor = self.comm.allreduce(self.force_floor, MPI.MAX)
+        self.gap_floor = [2e-15 * diameter * pair.area for pair in self.pairs]
+
+    def _inversion_form(self) -> Any:
+        mesh, degree = self.V.mesh, 2 * self.V.element.basix_element.degree
+        if mesh.geometry.dim != mesh.topology.dim:
+            return None
+        dx = ufl.Measure("dx", mesh, metadata={"quadrature_degree": degree})
+        return fem.form(ufl.conditional(ufl.gt(ufl.det(deformation_gradient(self.u)), 0.0), 0.0, 1.0) * dx)
+
+    def inverted_volume(self) -> float:
+        """Reference volume where det F ≤ 0 or is not a number, at the bulk's Gauss points (collective)."""
+        if self._inverted is None:
+            return 0.0
+        return float(self.comm.allreduce(fem.assemble_scalar(self._inverted)))
+
+    # ---------------------------------------------------------------- matrices and vectors
+
+    def _create_matrices(self) -> fem.Function:
+        """Make the nest; returns the diagonal of the bulk's stiffness (N/m) at the start state."""
+        self._seen: list[Index] = [np.empty(0, dtype=np.int64) for _ in self.pairs]
+        spaces = [self.V] + [pair.multiplier.field.function_space for pair in self.pairs]
+        n = len(spaces)
+        blocks: list[list[Any]] = [[None] * n for _ in range(n)]
+        blocks[0][0] = dolfinx_petsc.create_matrix(self.J)
+        for k in range(1, n):
+            for i, j in [(0, k), (k, 0), (k, k)]:
+                blocks[i][j] = _empty_matrix(spaces[i], spaces[j])
+        self.blocks = blocks
+        bulk = blocks[0][0]
+        dolfinx_petsc.assemble_matrix(bulk, self.J)
+        bulk.assemble()
+        diagonal = fem.Function(self.V)
+        bulk.getDiagonal(diagonal.x.petsc_vec)
+        diagonal.x.scatter_forward()
+        for row in blocks:
+            for block in row:
+                if block is not None:
+                    block.assemble()
+        self.matrix = PETSc.Mat().createNest(blocks, comm=self.comm)
+        self.matrix.assemble()
+        fields = [self.u] + [pair.multiplier.field for pair in self.pairs]
+        self.x = PETSc.Vec().createNest([_petsc_vector(f.function_space) for f in fields], comm=self.comm)
+        self.residual = self.x.duplicate()
+        self.fields = fields
+        return diagonal
+
+    def _grow_pattern(self) -> None:
+        """Give the matrices room for the facet couples now in contact, beside all those seen before.
+
+        The pattern only grows, so that the symbolic factorisation is kept while contact stays on the same couples.
+        """
+        couples = [np.union1d(pair.couples(), seen) for pair, seen in zip(self.pairs, self._seen, strict=True)]
+        grown = any(len(new) > len(seen) for new, seen in zip(couples, self._seen, strict=True))
+        if not self.comm.allreduce(grown, MPI.LOR):
+            return
+        self._seen = couples
+        patterns = [pair.pattern(seen) for pair, seen in zip(self.pairs, self._seen, strict=True)]
+        V = self.V
+        UU = _empty_matrix(V, V)
+        for pattern in patterns:
+            _insert(UU, *pattern[0])
+        dolfinx_petsc.assemble_matrix(UU, self.J, bcs=self.bcs)
+        _replace_pattern(self.blocks[0][0], UU)
+        for k, (pair, pattern) in enumerate(zip(self.pairs, patterns, strict=True), start=1):
+            Q = pair.multiplier.field.function_space
+            for (i, j), (rows, columns, values) in zip([(0, k), (k, 0), (k, k)], pattern[1:], strict=True):
+                left, right = (V, Q) if i == 0 else (Q, V) if j == 0 else (Q, Q)
+                block = _empty_matrix(left, right)
+                _insert(block, rows, columns, values)
+                if i == j:
+                    idle = pair.multiplier.idle
+                    block.setValuesRCV(idle[:, None], idle[:, None], np.zeros((len(idle), 1, 1)), _ADD)
+                _replace_pattern(self.blocks[i][j], block)
+
+    # ---------------------------------------------------------------- evaluation
+
+    def unpack(self, x: PETSc.Vec) -> None:
+        """Copy the nested vector into the Functions, ghosts included."""
+        for field, part in zip(self.fields, x.getNestSubVecs(), strict=True):
+            field.x.array[: part.getLocalSize()] = part.array_r
+            field.x.scatter_forward()
+
+    def pack(self, x: PETSc.Vec) -> None:
+        """Copy the Functions into the nested vector."""
+        for field, part in zip(self.fields, x.getNestSubVecs(), strict=True):
+            part.array[:] = field.x.array[: part.getLocalSize()]
+        x.assemble()
+
+    def assemble_residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        """The left-hand side of eq. (3) at x: forces (N) and the multipliers' residual (m³)."""
+        self.unpack(x)
+        parts = f.getNestSubVecs()
+        with self.stopwatch("bulk"):
+            b = parts[0]
+            with b.localForm() as local:
+                local.set(0.0)
+            dolfinx_petsc.assemble_vector(b, self.F)
+            if self._unmet_bcs(parts[0]):
+                dolfinx_petsc.apply_lifting(b, [self.J], [self.bcs], [self.u.x.petsc_vec], -1.0)
+            b.ghostUpdate(addv=_ADD, mode=PETSc.ScatterMode.REVERSE)
+            self.force_scale = b.norm()
+            dolfinx_petsc.set_bc(b, self.bcs, self.u.x.petsc_vec, -1.0)
+        for pair, part in zip(self.pairs, parts[1:], strict=True):
+            pair.evaluate(self.u)
+            with self.stopwatch("contact"):
+                part.set(0.0)
+                _insert_vector(part, *pair.multiplier_residual())
+                part.assemble()
+                pair.switch(part)
+                part.set(0.0)  # and stays so at redundant nodes, whose value is 0 and whose row is the identity's
+                _insert_vector(part, *pair.multiplier_residual())
+                part.assemble()
+                for blocks, values in pair.body_residual():
+                    _insert_vector(parts[0], blocks, values)
+        parts[0].assemble()
+        f.assemble()
+
+    def _unmet_bcs(self, template: PETSc.Vec) -> bool:
+        """Whether u does not yet have its prescribed values (then the residual is lifted)."""
+        if not self.bcs:
+            return False
+        gap = template.duplicate()
+        gap.set(0.0)
+        dolfinx_petsc.set_bc(gap, self.bcs, self.u.x.petsc_vec, -1.0)
+        return bool(gap.norm(PETSc.NormType.NORM_INFINITY) > 0)
+
+    def assemble_jacobian(self) -> None:
+        """The derivative of the residual at the state last evaluated."""
+        with self.stopwatch("contact"):
+            self._grow_pattern()
+            for row in self.blocks:
+                for block in row:
+                    if block is not None:
+                        block.zeroEntries()
+            for k, pair in enumerate(self.pairs, start=1):
+                element = pair.tangent()
+                _insert(self.blocks[0][0], *element.UU)
+                _insert(self.blocks[0][k], *element.UΛ)
+                _insert(self.blocks[k][0], *element.ΛU)
+                _insert(self.blocks[k][k], *element.ΛΛ)
+                idle = pair.multiplier.idle
+                self.blocks[k][k].setValuesRCV(idle[:, None], idle[:, None], np.ones((len(idle), 1, 1)), _ADD)
+        with self.stopwatch("bulk"):
+            dolfinx_petsc.assemble_matrix(self.blocks[0][0], self.J, bcs=self.bcs)
+        with self.stopwatch("contact"):
+            for row in self.blocks:
+                for block in row:
+                    if block is not None:
+                        block.assemble()
+            self.matrix.assemble()
+
+    def contact_pattern(self) -> int:
+        """A number that changes with the open/slip/stick state of any point on any rank (collective)."""
+        mine = hash(tuple(pair.state.status.tobytes() for pair in self.pairs)) >> 8
+        return int(self.comm.allreduce(mine, MPI.SUM))
+
+    def flipping_points(self) -> str:
+        """Where the law disagrees with the contact state it holds, in words (collective)."""
+        parts = []
+        for pair in self.pairs:
+            points = self.comm.allgather(pair.points()[pair.closed != (pair.state.λN_hat >= 0.0)])
+            X = np.concatenate(points)
+            if len(X):
+                parts.append(f"{pair.name}: {len(X)} points, the first at X = {np.array2string(X[0], precision=4)}")
+        return "; ".join(parts) or "no point at odds with the law"
+
+    # ---------------------------------------------------------------- transactions
+
+    def state(self) -> State:
+        """A copy of all that a step may change."""
+        return State(
+            self.u.x.array.copy(),
+            [pair.multiplier.field.x.array.copy() for pair in self.pairs],
+            [pair.history.copy() for pair in self.pairs],
+            [pair.state.λN_hat.copy() for pair in self.pairs],
+        )
+
+    def restore(self, state: State) -> None:
+        """Back to an earlier state, slip history included; Newton starts from the contact state that λ̂_N says."""
+        self.u.x.array[:] = state.u
+        for k, pair in enumerate(self.pairs):
+            pair.multiplier.field.x.array[:] = state.multipliers[k]
+            pair.restore(state.history[k], state.pressures[k])
+
+    def commit(self) -> None:
+        """The step has converged: it becomes the origin of the next one's slip."""
+        for pair in self.pairs:
+            pair.commit()
+
+    @property
+    def unknowns(self) -> dict[str, int]:
+        """Global number of unknowns per block."""
+        counts = {"u": self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs}
+        return counts | {f"multiplier of {pair.name}": pair.multiplier.size for pair in self.pairs}
+
+
+_ADD = PETSc.InsertMode.ADD
+
+
+def _check_space(V: fem.FunctionSpace) -> None:
+    mesh, element = V.mesh, V.element.basix_element
+    if V.dofmap.index_map_bs != mesh.geometry.dim:
+        raise ValueError(f"u has {V.dofmap.index_map_bs} components on a mesh of dimension {mesh.geometry.dim}")
+    if element.family.name != "P" or element.degree not in (1, 2) or element.discontinuous:
+        raise ValueError(f"u: {V.ufl_element()} is not a continuous Lagrange element of order 1 or 2")
+    if mesh.geometry.cmap.degree > element.degree:
+        raise ValueError(
+            f"u has order {element.degree} on a mesh of order {mesh.geometry.cmap.degree}: "
+            "take u at least of the mesh's order"
+        )
+
+
+def _diameter(V: fem.FunctionSpace) -> float:
+    """Diagonal of the mesh's bounding box (m)."""
+    x, comm = V.mesh.geometry.x, V.mesh.comm
+    low = comm.allreduce(x.min(axis=0, initial=np.inf), MPI.MIN)
+    high = comm.allreduce(x.max(axis=0, initial=-np.inf), MPI.MAX)
+    return float(np.linalg.norm(np.asarray(high) - np.asarray(low)))
+
+
+def _sizes(V: fem.FunctionSpace) -> tuple[int, int]:
+    return V.dofmap.index_map.size_local * V.dofmap.index_map_bs, V.dofmap.index_map.size_global * V.dofmap.index_map_bs
+
+
+def _petsc_vector(V: fem.FunctionSpace) -> PETSc.Vec:
+    from dolfinx.la import create_petsc_vector
+
+    return create_petsc_vector(V.dofmap.index_map, V.dofmap.index_map_bs)
+
+
+def _empty_matrix(left: fem.FunctionSpace, right: fem.FunctionSpace) -> PETSc.Mat:
+    """A matrix without a pattern: PETSc collects the entries in a hash table until the first assembly."""
+    A = PETSc.Mat().create(left.mesh.comm)
+    A.setSizes((_sizes(left), _sizes(right)))
+    A.setType(PETSc.Mat.Type.AIJ)
+    A.setBlockSizes(left.dofmap.index_map_bs, right.dofmap.index_map_bs)
+    A.setUp()
+    maps = [_local_to_global(left), _local_to_global(right)]
+    A.setLGMap(*maps)
+    return A
+
+
+def _local_to_global(V: fem.FunctionSpace) -> PETSc.LGMap:
+    index_map = V.dofmap.index_map
+    blocks = index_map.local_to_global(np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32))
+    return PETSc.LGMap().create(blocks.astype(np.int32), bsize=V.dofmap.index_map_bs, comm=V.mesh.comm)
+
+
+def _replace_pattern(A: PETSc.Mat, pattern: PETSc.Mat) -> None:
+    """Give A the pattern of another matrix, entries zero."""
+    pattern.assemble()
+    A.setPreallocationCSR(pattern.getValuesCSR())
+    A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, True)
+
+
+def _insert(A: PETSc.Mat, rows: Index, columns: Index, values: Array) -> None:
+    """Add element matrices (m, rows, row_bs, columns, column_bs) at global blocks rows (m, ·) and columns (m, ·)."""
+    row_bs, column_bs = values.shape[2], values.shape[4]
+    if row_bs == column_bs and row_bs > 1:
+        shape = (len(rows), rows.shape[1] * row_bs, columns.shape[1] * column_bs)
+        A.setValuesBlockedRCV(rows.astype(np.int32), columns.astype(np.int32), values.reshape(shape), _ADD)
+        return
+    i = (rows[:, :, None] * row_bs + np.arange(row_bs)).reshape(len(rows), -1).astype(np.int32)
+    j = (columns[:, :, None] * column_bs + np.arange(column_bs)).reshape(len(columns), -1).astype(np.int32)
+    A.setValuesRCV(i, j, values.reshape(len(rows), i.shape[1], j.shape[1]), _ADD)
+
+
+def _insert_vector(b: PETSc.Vec, blocks: Index, values: Array) -> None:
+    """Add element vectors (m, nodes, components) at global blocks (m, nodes)."""
+    m = values.shape[2]
+    index = (blocks[:, :, None] * m + np.arange(m)).astype(np.int32)
+    b.setValues(index.ravel(), values.ravel(), addv=_ADD)

@@ -1,0 +1,189 @@
+"""Load stepping: adaptive increments, each one a transaction; extrapolation in the load as predictor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.newton import NewtonSolver
+from dolfinx_mortar_al.problem import ContactProblem, State
+
+__all__ = ["Step", "StepFailure", "march"]
+
+MAX_ORDER = 4  # of the predictor's polynomial
+EASY = 8  # Newton iterations up to which an increment that was cut may grow again
+
+
+class StepFailure(RuntimeError):
+    """A step did not converge even at the smallest increment; what had converged was yielded before."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A converged step: load, Newton iterations (rejected trials included), rejected trials, wall time (s), and whether
+    the load is one of the asked-for increments (not a step between them after a cut)."""
+
+    load: float
+    iterations: int
+    rejected: int
+    wall_time: float
+    nominal: bool
+
+
+def march(
+    problem: ContactProblem,
+    load: fem.Constant | Callable[[float], None],
+    *,
+    to: float,
+    increments: int,
+    start: float | None = None,
+    solver: NewtonSolver | None = None,
+    smallest: float = 2.0**-10,
+    progress: bool = False,
+) -> Iterator[Step]:
+    """Solve at growing loads and yield each converged step.
+
+    A step that fails is undone, slip history included, and tried again at half the increment, which grows back after easy
+    steps. Loads at multiples of (to − start)/increments are always met.
+
+    Args:
+        problem: to solve.
+        load: the load parameter: a UFL constant of the problem, or a function that sets what depends on it.
+        to: final load.
+        increments: number of steps asked for.
+        start: load of the problem's present state, default the constant's value, or 0 for a function.
+        solver: default a new :class:`~dolfinx_mortar_al.newton.NewtonSolver`.
+        smallest: increment, relative to the asked-for one, below which the march gives up.
+        progress: show a progress bar with load, iterations and contact state (rank 0, standard error).
+
+    Raises:
+        ValueError: `increments` < 1, or `to` equals the present load.
+        StepFailure: on every rank.
+    """
+    if increments < 1:
+        raise ValueError(f"increments = {increments}: at least one load increment is needed")
+    if isinstance(load, fem.Constant):
+        constant = load
+        begin = float(constant.value) if start is None else start
+
+        def set_load(value: float) -> None:
+            constant.value = value
+    else:
+        begin, set_load = 0.0 if start is None else start, load
+    if not np.isfinite(to) or to == begin:
+        raise ValueError(f"to = {to}: the load must move away from its present value {begin}")
+
+    solver = NewtonSolver(problem) if solver is None else solver
+    asked = (to - begin) / increments
+    current, increment, rejected, iterations = begin, asked, 0, 0
+    past = _Past(problem)
+    past.add(current)
+    bar = _bar(problem, to - begin) if progress else None
+    clock = perf_counter()
+    number = 1
+    while number <= increments:
+        mark = begin + number * asked
+        nominal = abs(current + increment - mark) < 1e-9 * abs(asked) or abs(increment) >= abs(mark - current)
+        trial = mark if nominal else current + increment
+        set_load(trial)
+        past.predict(trial)
+        result = solver.solve()
+        iterations += result.iterations
+        if not result.converged:
+            past.restore()
+            rejected += 1
+            increment = (trial - current) / 2
+            if problem.comm.rank == 0 and bar is not None:
+                bar.write(f"load {trial:.6g} rejected: {result.message}")
+            if abs(increment) < smallest * abs(asked):
+                set_load(current)
+                raise StepFailure(
+                    f"no convergence at load {trial:.6g} with the smallest increment {2 * increment:.3g}: {result.message}; "
+                    f"the steps up to load {current:.6g} are converged"
+                )
+            continue
+        problem.commit()
+        current = trial
+        past.add(current)
+        if result.iterations <= EASY:
+            increment = float(np.sign(asked)) * min(2 * abs(increment), abs(asked))
+        step = Step(current, iterations, rejected, perf_counter() - clock, nominal)
+        if bar is not None:
+            _show(bar, problem, step, current - begin)
+        number += int(nominal)
+        rejected, iterations = 0, 0
+        yield step
+        clock = perf_counter()
+    if bar is not None:
+        bar.close()
+
+
+class _Past:
+    """The last converged states and their loads, for extrapolation and for undoing a failed step."""
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self.problem = problem
+        self.loads: list[float] = []
+        self.states: list[State] = []
+        self.order = 1
+
+    def add(self, load: float) -> None:
+        """A state has converged; choose the polynomial order that would have predicted it best."""
+        state = self.problem.state()
+        self.order = self._best_order(load, state.u)
+        self.loads, self.states = [*self.loads, load][-MAX_ORDER - 1 :], [*self.states, state][-MAX_ORDER - 1 :]
+
+    def restore(self) -> None:
+        """Undo: back to the last converged state."""
+        self.problem.restore(self.states[-1])
+
+    def predict(self, load: float) -> None:
+        """Displacement and multipliers extrapolated to `load`, and linearly the λ̂_N that says which points are closed."""
+        self.restore()
+        if len(self.states) < 2:
+            return
+        used, weights = self._weights(load, self.order)
+        problem = self.problem
+        problem.u.x.array[:] = sum(w * s.u for w, s in zip(weights, used, strict=True))
+        for k, pair in enumerate(problem.pairs):
+            values = sum(w * s.multipliers[k] for w, s in zip(weights, used, strict=True))
+            pair.multiplier.field.x.array[:] = values
+        if len(self.states) > 2:  # the start state's contact is a guess
+            used, weights = self._weights(load, 1)
+            for k, pair in enumerate(problem.pairs):
+                λN_hat = sum(w * s.pressures[k] for w, s in zip(weights, used, strict=True))
+                pair.restore(self.states[-1].history[k], np.asarray(λN_hat))
+
+    def _weights(self, load: float, order: int) -> tuple[list[State], NDArray[np.float64]]:
+        """The last order + 1 states and their Lagrange weights at `load`."""
+        x = np.array(self.loads[-order - 1 :])
+        weights = [np.prod([(load - b) / (a - b) for b in x if b != a]) for a in x]
+        return self.states[-len(x) :], np.array(weights)
+
+    def _best_order(self, load: float, u: NDArray[np.float64]) -> int:
+        orders = range(1, len(self.states))
+        errors = []
+        for order in orders:
+            used, weights = self._weights(load, order)
+            miss = u - sum(w * s.u for w, s in zip(weights, used, strict=True))
+            errors.append(self.problem.comm.allreduce(float(miss @ miss), MPI.SUM))
+        return min(MAX_ORDER, 1 + int(np.argmin(errors))) if errors else 1
+
+
+def _bar(problem: ContactProblem, span: float):
+    from tqdm import tqdm
+
+    return tqdm(total=1.0, disable=problem.comm.rank != 0, bar_format="{percentage:3.0f}%|{bar:20}| {elapsed} {postfix}")
+
+
+def _show(bar, problem: ContactProblem, step: Step, done: float) -> None:
+    closed = [f"{pair.name} {pair.closed_fraction():.0%} closed, {pair.stick_fraction():.0%} stick" for pair in problem.pairs]
+    bar.set_postfix_str(f"load {step.load:.5g}, {step.iterations} iterations, " + "; ".join(closed), refresh=False)
+    bar.n = min(1.0, bar.n + 0.0)
+    bar.refresh()

@@ -1,0 +1,34 @@
+"""Wall time per part of a simulation, for summary.json and for the table in the README."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import perf_counter
+
+__all__ = ["Stopwatch"]
+
+
+class Stopwatch:
+    """Adds up wall time (s) under names; a part measured inside another is taken out of the outer one."""
+
+    def __init__(self) -> None:
+        self.seconds: Counter[str] = Counter()
+        self._inner = [0.0]
+
+    @contextmanager
+    def __call__(self, part: str) -> Iterator[None]:
+        start = perf_counter()
+        self._inner.append(0.0)
+        try:
+            yield
+        finally:
+            total = perf_counter() - start
+            self.seconds[part] += total - self._inner.pop()
+            self._inner[-1] += total
+
+    def add(self, part: str, seconds: float) -> None:
+        """Count a time measured elsewhere, inside the part that is running."""
+        self.seconds[part] += seconds
+        self._inner[-1] += seconds

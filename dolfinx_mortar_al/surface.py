@@ -1,0 +1,226 @@
+"""Contact surfaces: which facets, their nodes, shape functions, reference geometry and outward side.
+
+A :class:`Surface` is what the user names; :class:`Facets` is the same surface seen through a displacement space. All
+facets are brought to the node order of one Lagrange element on the reference facet, so that every later array is batched
+as (facets, points, …) whatever the cells were.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import basix
+import numpy as np
+from dolfinx import fem, mesh
+from numpy.typing import NDArray
+
+__all__ = ["Facets", "GatheredFacets", "ShapeFunctions", "Surface", "surface_normal"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The facets of `mesh` that carry `tag` in `tags` (mesh tags of the facets' dimension)."""
+
+    mesh: mesh.Mesh
+    tags: Any
+    tag: int
+
+    def owned_facets(self) -> NDArray[np.int32]:
+        """The surface's facets owned by this rank.
+
+        Raises:
+            ValueError: on every rank, if the tags are of another dimension, the surface is empty, or a facet of it is
+                not on the boundary.
+        """
+        dim = self.mesh.topology.dim - 1
+        if self.tags.dim != dim:
+            raise ValueError(
+                f"tags of dimension {self.tags.dim} for a contact surface of a mesh of dimension {dim + 1}: "
+                f"a contact surface is made of facets, pass mesh tags of dimension {dim}"
+            )
+        facets = self.tags.find(self.tag)
+        facets = facets[facets < self.mesh.topology.index_map(dim).size_local]
+        comm = self.mesh.comm
+        if comm.allreduce(len(facets)) == 0:
+            known = sorted(set().union(*comm.allgather(set(self.tags.values.tolist()))))
+            raise ValueError(f"tag {self.tag} marks no facet; the tags of this mesh are {known}")
+        self.mesh.topology.create_connectivity(dim, dim + 1)
+        cells = self.mesh.topology.connectivity(dim, dim + 1)
+        inner = int(np.sum(np.diff(cells.offsets)[facets] != 1))
+        if comm.allreduce(inner):
+            raise ValueError(f"tag {self.tag} marks facets between two cells; a contact surface lies on the boundary")
+        return facets
+
+
+class ShapeFunctions:
+    """Lagrange shape functions of one facet: interval, triangle or quadrilateral, order 1 or 2."""
+
+    def __init__(self, cell: basix.CellType, order: int) -> None:
+        self.cell = cell
+        self.order = order
+        self.element = basix.create_element(basix.ElementFamily.P, cell, order, basix.LagrangeVariant.gll_warped)
+        self.dim = self.element.points.shape[1]
+        # an affine facet has no second derivatives
+        self.flat = order == 1 and cell != basix.CellType.quadrilateral
+
+    @property
+    def nodes(self) -> Array:
+        """Reference coordinates of the nodes, (nodes, dim)."""
+        return self.element.points
+
+    @cached_property
+    def corners(self) -> Array:
+        """Reference coordinates of the vertices, (vertices, dim)."""
+        return basix.geometry(self.cell)
+
+    @cached_property
+    def sides(self) -> list[list[int]]:
+        """Nodes on each of the facet's own sides (vertices of an interval, edges of a polygon)."""
+        return self.element.entity_closure_dofs[self.dim - 1]
+
+    def tabulate(self, η: Array, derivatives: int = 0) -> tuple[Array, ...]:
+        """N (n, nodes), N,α (n, dim, nodes) and N,αβ (n, dim, dim, nodes) at η (n, dim), up to `derivatives`."""
+        table = self.element.tabulate(derivatives, η)[..., 0]
+        d = self.dim
+        result: list[Array] = [table[0]]
+        if derivatives > 0:
+            result.append(np.moveaxis(table[1 : d + 1], 0, 1))
+        if derivatives > 1:
+            order = [basix.index(2)] if d == 1 else [basix.index(2, 0), basix.index(1, 1), basix.index(1, 1), basix.index(0, 2)]
+            result.append(np.moveaxis(table[order], 0, 1).reshape(len(η), d, d, -1))
+        return tuple(result)
+
+    def quadrature(self, degree: int) -> tuple[Array, Array]:
+        """Gauss points (points, dim) and weights (points,)."""
+        return basix.make_quadrature(self.cell, degree)
+
+
+def surface_normal(tangents: Array) -> Array:
+    """a₁ × a₂ (3D) or a₁ turned by −90° (2D), not normalised: (…, dim, gdim) to (…, gdim)."""
+    if tangents.shape[-1] == 2:
+        a = tangents[..., 0, :]
+        return np.stack([a[..., 1], -a[..., 0]], axis=-1)
+    return np.cross(tangents[..., 0, :], tangents[..., 1, :])
+
+
+@dataclass(frozen=True)
+class Facets:
+    """The facets of a surface that one rank owns, with the nodes of a displacement space on them.
+
+    Attributes:
+        space: the displacement space V.
+        entities: (nf,) the facets, local to this rank.
+        shape: shape functions, shared by all facets.
+        dofs: (nf, nodes) local block dofs of V.
+        X: (nf, nodes, gdim) reference positions (m).
+        orientation: (nf,) ±1, the sign that makes :func:`surface_normal` point out of the body.
+    """
+
+    space: fem.FunctionSpace
+    entities: NDArray[np.int32]
+    shape: ShapeFunctions
+    dofs: NDArray[np.int32]
+    X: Array
+    orientation: Array
+
+    @classmethod
+    def of(cls, surface: Surface, V: fem.FunctionSpace) -> Facets:
+        """The surface's owned facets seen through V."""
+        domain, d = surface.mesh, surface.mesh.topology.dim
+        entities = surface.owned_facets()
+        cell = domain.basix_cell()
+        shape = ShapeFunctions(basix.cell.subentity_types(cell)[d - 1][0], V.element.basix_element.degree)
+
+        topology = domain.topology
+        topology.create_connectivity(d - 1, d)
+        topology.create_connectivity(d, d - 1)
+        facet_cells = topology.connectivity(d - 1, d)
+        cell_facets = topology.connectivity(d, d - 1).array.reshape(-1, len(basix.topology(cell)[d - 1]))
+        cells = facet_cells.array[facet_cells.offsets[entities]]
+        local = np.argmax(cell_facets[cells] == entities[:, None], axis=1)
+
+        closure = _facet_nodes(V.element.basix_element, shape)  # (facets of a cell, nodes)
+        dofs = np.take_along_axis(V.dofmap.list[cells], closure[local], axis=1)
+        x = V.tabulate_dof_coordinates()[:, : domain.geometry.dim]
+        X = x[dofs]
+        tangents = shape.tabulate(shape.corners.mean(axis=0)[None], 1)[1][0] @ X  # at the facet's middle
+        outward = X.mean(axis=1) - x[V.dofmap.list[cells]].mean(axis=1)
+        orientation = np.sign(np.einsum("fi,fi->f", surface_normal(tangents), outward))
+        return cls(V, entities, shape, dofs, X, orientation)
+
+    @property
+    def size(self) -> int:
+        return len(self.entities)
+
+    def gather(self) -> GatheredFacets:
+        """The whole surface on every rank (its topology only; positions follow each Newton iteration)."""
+        comm, V = self.space.mesh.comm, self.space
+        mine = V.dofmap.index_map.local_to_global(self.dofs.ravel()).reshape(self.dofs.shape)
+        blocks = np.concatenate(comm.allgather(mine))
+        X = np.concatenate(comm.allgather(self.X))
+        orientation = np.concatenate(comm.allgather(self.orientation))
+        # the same order of facets whatever the number of ranks
+        order = np.lexsort(np.round(X.mean(axis=1) / np.ptp(X, axis=(0, 1)).max(), 9).T)
+        blocks, X, orientation = blocks[order], X[order], orientation[order]
+        nodes, first, inverse = np.unique(blocks, return_index=True, return_inverse=True)
+        return GatheredFacets(
+            self.shape, inverse.reshape(blocks.shape), nodes, X.reshape(-1, X.shape[-1])[first], orientation
+        )
+
+
+def _facet_nodes(element: Any, shape: ShapeFunctions) -> NDArray[np.int64]:
+    """For each facet of the reference cell, its nodes in the order of the facet's own Lagrange element."""
+    d = element.points.shape[1]
+    geometry, facets = basix.geometry(element.cell_type), basix.topology(element.cell_type)[d - 1]
+    result = []
+    for facet, nodes in zip(facets, element.entity_closure_dofs[d - 1], strict=True):
+        v = geometry[facet]
+        wanted = v[0] + shape.nodes @ (v[1:d] - v[0])  # facet coordinates → cell coordinates
+        distance = np.linalg.norm(wanted[:, None] - element.points[nodes][None], axis=2)
+        result.append(np.array(nodes)[np.argmin(distance, axis=1)])
+    return np.array(result)
+
+
+@dataclass(frozen=True)
+class GatheredFacets:
+    """A target surface as every rank sees it.
+
+    Attributes:
+        shape: shape functions.
+        facets: (nf, nodes) indices into `blocks`.
+        blocks: (n,) global block dofs of its nodes.
+        X: (n, gdim) reference positions (m).
+        orientation: (nf,) see :class:`Facets`.
+    """
+
+    shape: ShapeFunctions
+    facets: Index
+    blocks: Index
+    X: Array
+    orientation: Array
+
+    @cached_property
+    def boundary_sides(self) -> NDArray[np.bool_]:
+        """(nf, sides) whether a side of a facet is an end of the surface: no other facet has it."""
+        sides = np.stack([np.sort(self.facets[:, s], axis=1) for s in self.shape.sides], axis=1)
+        _, inverse, count = np.unique(
+            sides.reshape(-1, sides.shape[-1]), axis=0, return_inverse=True, return_counts=True
+        )
+        return (count[inverse.ravel()] == 1).reshape(sides.shape[:2])
+
+    @cached_property
+    def size_of_facets(self) -> float:
+        """Largest diameter of a facet in the reference configuration (m)."""
+        X = self.X[self.facets]
+        return float(np.max(np.linalg.norm(X - X.mean(axis=1, keepdims=True), axis=2))) * 2
+
+    def areas(self) -> Array:
+        """(nf,) reference areas (m², or m in two dimensions)."""
+        points, weights = self.shape.quadrature(2 * self.shape.order)
+        a = np.einsum("qak,fki->fqai", self.shape.tabulate(points, 1)[1], self.X[self.facets])
+        return np.linalg.norm(surface_normal(a), axis=2) @ weights
