@@ -307,7 +307,7 @@ class ContactPair:
     def body_residual(self) -> list[tuple[Index, Array]]:
         """−∫ t·(N1 U1* − N2(η) U2*) dS₀, eq. (4), on the contactor's and the target's nodes; 0 where prescribed."""
         jt = self.j.reshape(-1, 1) * self.state.t
-        on_contactor = -np.einsum("qa,fqi->fai", self.N, jt.reshape(*self.j.shape, -1))
+        on_contactor = -np.einsum("qa,fqi->fai", self.N, jt.reshape(*self.j.shape, self.gdim))
         closed = self._closed()
         on_target = self.at.N[closed][:, :, None] * jt[closed][:, None, :]
         nodes = self.target.facets[self.at.point.facet[closed]]
@@ -333,10 +333,11 @@ class ContactPair:
         NΛ, δr = self.NΛ[act], δr * j[:, None, None]
         z = d * self.slots.displacement_slots
 
-        C_U = _apply_columns(C[..., :z].reshape(n, -1, z), columns, d)  # (n, slots·d, nodes, d)
-        UU = (np.swapaxes(rows, 1, 2) @ C_U.reshape(n, rows.shape[1], -1)).reshape(n, rows.shape[2], d, -1, d)
-        C_Λ = C[..., z:].reshape(n, rows.shape[1], d * m)
-        UΛ = (np.swapaxes(rows, 1, 2) @ C_Λ).reshape(n, rows.shape[2], d, 1, m) * NΛ[:, None, None]
+        R, k, K = rows.shape[1], rows.shape[2], columns.shape[2]
+        C_U = _apply_columns(C[..., :z].reshape(n, R * d, z), columns, d)  # (n, R·d, nodes, d)
+        UU = (np.swapaxes(rows, 1, 2) @ C_U.reshape(n, R, d * K * d)).reshape(n, k, d, K, d)
+        C_Λ = C[..., z:].reshape(n, R, d * m)
+        UΛ = (np.swapaxes(rows, 1, 2) @ C_Λ).reshape(n, k, d, 1, m) * NΛ[:, None, None]
         r_U = _apply_columns(δr[..., :z], columns, d)  # (n, m, nodes, d)
         ΛU = NΛ[:, :, :, None, None] * r_U[:, None]
 

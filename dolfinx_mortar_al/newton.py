@@ -93,6 +93,8 @@ class NewtonSolver:
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         self.problem.assemble_jacobian()
+        if self.problem.matrix.handle != A.handle:  # a new pattern
+            snes.setJacobian(self._jacobian, self.problem.matrix)
         self._linear_start = perf_counter()
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:

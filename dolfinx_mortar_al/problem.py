@@ -108,24 +108,19 @@ class ContactProblem:
         self._seen: list[Index] = [np.empty(0, dtype=np.int64) for _ in self.pairs]
         spaces = [self.V] + [pair.multiplier.field.function_space for pair in self.pairs]
         n = len(spaces)
-        blocks: list[list[Any]] = [[None] * n for _ in range(n)]
-        blocks[0][0] = dolfinx_petsc.create_matrix(self.J)
+        self.blocks: list[list[Any]] = [[None] * n for _ in range(n)]
+        self.blocks[0][0] = dolfinx_petsc.create_matrix(self.J)
         for k in range(1, n):
             for i, j in [(0, k), (k, 0), (k, k)]:
-                blocks[i][j] = _empty_matrix(spaces[i], spaces[j])
-        self.blocks = blocks
-        bulk = blocks[0][0]
+                self.blocks[i][j] = _empty_matrix(spaces[i], spaces[j])
+                self.blocks[i][j].assemble()
+        bulk = self.blocks[0][0]
         dolfinx_petsc.assemble_matrix(bulk, self.J)
         bulk.assemble()
         diagonal = fem.Function(self.V)
         bulk.getDiagonal(diagonal.x.petsc_vec)
         diagonal.x.scatter_forward()
-        for row in blocks:
-            for block in row:
-                if block is not None:
-                    block.assemble()
-        self.matrix = PETSc.Mat().createNest(blocks, comm=self.comm)
-        self.matrix.assemble()
+        self._make_nest()
         fields = [self.u] + [pair.multiplier.field for pair in self.pairs]
         self.x = PETSc.Vec().createNest([_petsc_vector(f.function_space) for f in fields], comm=self.comm)
         self.residual = self.x.duplicate()
@@ -143,22 +138,29 @@ class ContactProblem:
             return
         self._seen = couples
         patterns = [pair.pattern(seen) for pair, seen in zip(self.pairs, self._seen, strict=True)]
-        V = self.V
+        V, n = self.V, len(self.blocks)
+        self.blocks = [[None] * n for _ in range(n)]
         UU = _empty_matrix(V, V)
         for pattern in patterns:
             _insert(UU, *pattern[0])
         dolfinx_petsc.assemble_matrix(UU, self.J, bcs=self.bcs)
-        _replace_pattern(self.blocks[0][0], UU)
+        UU.assemble()
+        self.blocks[0][0] = UU
         for k, (pair, pattern) in enumerate(zip(self.pairs, patterns, strict=True), start=1):
             Q = pair.multiplier.field.function_space
-            for (i, j), (rows, columns, values) in zip([(0, k), (k, 0), (k, k)], pattern[1:], strict=True):
-                left, right = (V, Q) if i == 0 else (Q, V) if j == 0 else (Q, Q)
-                block = _empty_matrix(left, right)
-                _insert(block, rows, columns, values)
+            for (i, j), element in zip([(0, k), (k, 0), (k, k)], pattern[1:], strict=True):
+                block = _empty_matrix(V if i == 0 else Q, V if j == 0 else Q)
+                _insert(block, *element)
                 if i == j:
                     idle = pair.multiplier.idle
                     block.setValuesRCV(idle[:, None], idle[:, None], np.zeros((len(idle), 1, 1)), _ADD)
-                _replace_pattern(self.blocks[i][j], block)
+                block.assemble()
+                self.blocks[i][j] = block
+        self._make_nest()
+
+    def _make_nest(self) -> None:
+        self.matrix = PETSc.Mat().createNest(self.blocks, comm=self.comm)
+        self.matrix.assemble()
 
     # ---------------------------------------------------------------- evaluation
 
@@ -301,9 +303,9 @@ def _check_space(V: fem.FunctionSpace) -> None:
 def _diameter(V: fem.FunctionSpace) -> float:
     """Diagonal of the mesh's bounding box (m)."""
     x, comm = V.mesh.geometry.x, V.mesh.comm
-    low = comm.allreduce(x.min(axis=0, initial=np.inf), MPI.MIN)
-    high = comm.allreduce(x.max(axis=0, initial=-np.inf), MPI.MAX)
-    return float(np.linalg.norm(np.asarray(high) - np.asarray(low)))
+    low = np.min(comm.allgather(x.min(axis=0, initial=np.inf)), axis=0)
+    high = np.max(comm.allgather(x.max(axis=0, initial=-np.inf)), axis=0)
+    return float(np.linalg.norm(high - low))
 
 
 def _sizes(V: fem.FunctionSpace) -> tuple[int, int]:
@@ -334,23 +336,16 @@ def _local_to_global(V: fem.FunctionSpace) -> PETSc.LGMap:
     return PETSc.LGMap().create(blocks.astype(np.int32), bsize=V.dofmap.index_map_bs, comm=V.mesh.comm)
 
 
-def _replace_pattern(A: PETSc.Mat, pattern: PETSc.Mat) -> None:
-    """Give A the pattern of another matrix, entries zero."""
-    pattern.assemble()
-    A.setPreallocationCSR(pattern.getValuesCSR())
-    A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, True)
-
-
 def _insert(A: PETSc.Mat, rows: Index, columns: Index, values: Array) -> None:
     """Add element matrices (m, rows, row_bs, columns, column_bs) at global blocks rows (m, ·) and columns (m, ·)."""
-    row_bs, column_bs = values.shape[2], values.shape[4]
+    m, k, row_bs, l, column_bs = values.shape
+    values = values.reshape(m, k * row_bs, l * column_bs)
     if row_bs == column_bs and row_bs > 1:
-        shape = (len(rows), rows.shape[1] * row_bs, columns.shape[1] * column_bs)
-        A.setValuesBlockedRCV(rows.astype(np.int32), columns.astype(np.int32), values.reshape(shape), _ADD)
+        A.setValuesBlockedRCV(rows.astype(np.int32), columns.astype(np.int32), values, _ADD)
         return
-    i = (rows[:, :, None] * row_bs + np.arange(row_bs)).reshape(len(rows), -1).astype(np.int32)
-    j = (columns[:, :, None] * column_bs + np.arange(column_bs)).reshape(len(columns), -1).astype(np.int32)
-    A.setValuesRCV(i, j, values.reshape(len(rows), i.shape[1], j.shape[1]), _ADD)
+    i = (rows[:, :, None] * row_bs + np.arange(row_bs)).reshape(m, k * row_bs)
+    j = (columns[:, :, None] * column_bs + np.arange(column_bs)).reshape(m, l * column_bs)
+    A.setValuesRCV(i.astype(np.int32), j.astype(np.int32), values, _ADD)
 
 
 def _insert_vector(b: PETSc.Vec, blocks: Index, values: Array) -> None:

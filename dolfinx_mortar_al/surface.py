@@ -85,14 +85,16 @@ class ShapeFunctions:
 
     def tabulate(self, η: Array, derivatives: int = 0) -> tuple[Array, ...]:
         """N (n, nodes), N,α (n, dim, nodes) and N,αβ (n, dim, dim, nodes) at η (n, dim), up to `derivatives`."""
-        table = self.element.tabulate(derivatives, η)[..., 0]
         d = self.dim
+        # basix does not take an empty set of points, which a rank without facets has
+        points = η if len(η) else np.zeros((1, d))
+        table = self.element.tabulate(derivatives, points)[:, : len(η), :, 0]
         result: list[Array] = [table[0]]
         if derivatives > 0:
             result.append(np.moveaxis(table[1 : d + 1], 0, 1))
         if derivatives > 1:
             order = [basix.index(2)] if d == 1 else [basix.index(2, 0), basix.index(1, 1), basix.index(1, 1), basix.index(0, 2)]
-            result.append(np.moveaxis(table[order], 0, 1).reshape(len(η), d, d, -1))
+            result.append(np.moveaxis(table[order], 0, 1).reshape(len(η), d, d, table.shape[-1]))
         return tuple(result)
 
     def quadrature(self, degree: int) -> tuple[Array, Array]:
