@@ -395,13 +395,30 @@ class ContactPair:
         closed = self._closed() if self._same_ε else np.arange(len(self.facet_of_point))
         target = self.at.point.facet[closed]
         old = self.history.facet[closed] if self.contact.friction else target
-        shape = (max(self.facets.size, 1), len(self.target.facets), len(self.target.facets))
-        return np.unique(np.ravel_multi_index((self.facet_of_point[closed], target, old), shape))
+        return np.unique(np.ravel_multi_index((self.facet_of_point[closed], target, old), self._couple_shape))
+
+    def with_neighbours(self, couples: Index) -> Index:
+        """Couples with the neighbours of their target facets, so that the pattern outlives a point's slip to the next
+        facet. On a curve only: on a surface the fill costs more than the new factorisations."""
+        if self.target.shape.dim > 1:
+            return couples
+        facet, target, old = np.unravel_index(couples, self._couple_shape)
+        near = self.target.neighbours
+        target, old = near[target][:, :, None], near[old][:, None, :]
+        if not self.contact.friction:
+            target, old = target[:, :, 0], target[:, :, 0]
+        shape = np.broadcast_shapes(target.shape, old.shape)
+        facet = facet.reshape(-1, *[1] * (len(shape) - 1))
+        wide = [np.broadcast_to(a, shape).ravel() for a in (facet, target, old)]
+        return np.unique(np.ravel_multi_index(wide, self._couple_shape))
+
+    @property
+    def _couple_shape(self) -> tuple[int, int, int]:
+        return max(self.facets.size, 1), len(self.target.facets), len(self.target.facets)
 
     def pattern(self, couples: Index) -> list[tuple[Index, Index, Array]]:
         """Zero element matrices (UU, UΛ, ΛU, ΛΛ) with the global blocks of the given couples."""
-        shape = (max(self.facets.size, 1), len(self.target.facets), len(self.target.facets))
-        facet, target, old = np.unravel_index(couples, shape)
+        facet, target, old = np.unravel_index(couples, self._couple_shape)
         bodies = [self.contactor_blocks[facet], self.target.blocks[self.target.facets[target]]]
         rows = np.concatenate(bodies, axis=1)
         past = [self.target.blocks[self.target.facets[old]]] if self.contact.friction else []

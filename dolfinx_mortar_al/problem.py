@@ -117,6 +117,7 @@ class ContactProblem:
         bulk = self.blocks[0][0]
         dolfinx_petsc.assemble_matrix(bulk, self.J)
         bulk.assemble()
+        self._bulk_pattern = bulk.getValuesCSR()
         diagonal = fem.Function(self.V)
         bulk.getDiagonal(diagonal.x.petsc_vec)
         diagonal.x.scatter_forward()
@@ -132,23 +133,20 @@ class ContactProblem:
 
         The pattern only grows, so that the symbolic factorisation is kept while contact stays on the same couples.
         """
-        couples = [np.union1d(pair.couples(), seen) for pair, seen in zip(self.pairs, self._seen, strict=True)]
-        grown = any(len(new) > len(seen) for new, seen in zip(couples, self._seen, strict=True))
+        new = [pair.couples() for pair in self.pairs]
+        grown = any(len(np.setdiff1d(n, seen, assume_unique=True)) for n, seen in zip(new, self._seen, strict=True))
         if not self.comm.allreduce(grown, MPI.LOR):
             return
-        self._seen = couples
-        patterns = [pair.pattern(seen) for pair, seen in zip(self.pairs, self._seen, strict=True)]
+        for k, pair in enumerate(self.pairs):
+            self._seen[k] = np.union1d(self._seen[k], pair.with_neighbours(new[k]))
         V, n = self.V, len(self.blocks)
         self.blocks = [[None] * n for _ in range(n)]
-        UU = _empty_matrix(V, V)
-        for pattern in patterns:
-            _insert(UU, *pattern[0])
-        dolfinx_petsc.assemble_matrix(UU, self.J, bcs=self.bcs)
-        UU.assemble()
-        self.blocks[0][0] = UU
-        for k, (pair, pattern) in enumerate(zip(self.pairs, patterns, strict=True), start=1):
+        contact = _empty_matrix(V, V)
+        for k, pair in enumerate(self.pairs, start=1):
+            UU, *others = pair.pattern(self._seen[k - 1])
+            _insert(contact, *UU)
             Q = pair.multiplier.field.function_space
-            for (i, j), element in zip([(0, k), (k, 0), (k, k)], pattern[1:], strict=True):
+            for (i, j), element in zip([(0, k), (k, 0), (k, k)], others, strict=True):
                 block = _empty_matrix(V if i == 0 else Q, V if j == 0 else Q)
                 _insert(block, *element)
                 if i == j:
@@ -156,6 +154,8 @@ class ContactProblem:
                     block.setValuesRCV(idle[:, None], idle[:, None], np.zeros((len(idle), 1, 1)), _ADD)
                 block.assemble()
                 self.blocks[i][j] = block
+        contact.assemble()
+        self.blocks[0][0] = _matrix_with_pattern(V, self._bulk_pattern, contact.getValuesCSR())
         self._make_nest()
 
     def _make_nest(self) -> None:
@@ -334,6 +334,22 @@ def _local_to_global(V: fem.FunctionSpace) -> PETSc.LGMap:
     index_map = V.dofmap.index_map
     blocks = index_map.local_to_global(np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32))
     return PETSc.LGMap().create(blocks.astype(np.int32), bsize=V.dofmap.index_map_bs, comm=V.mesh.comm)
+
+
+def _matrix_with_pattern(V: fem.FunctionSpace, *patterns: tuple[Index, Index, Array]) -> PETSc.Mat:
+    """A matrix on V whose pattern is the union of some in compressed rows (of this rank, global columns), entries zero."""
+    from scipy.sparse import csr_array
+
+    shape = (_sizes(V)[0], _sizes(V)[1])
+    union = sum(csr_array((np.ones(len(j)), j, i), shape=shape) for i, j, _ in patterns)
+    union.sort_indices()
+    A = PETSc.Mat().create(V.mesh.comm)
+    A.setSizes((_sizes(V), _sizes(V)))
+    A.setType(PETSc.Mat.Type.AIJ)
+    A.setBlockSize(V.dofmap.index_map_bs)
+    A.setPreallocationCSR((union.indptr.astype(np.int32), union.indices.astype(np.int32), np.zeros(union.nnz)))
+    A.setLGMap(_local_to_global(V), _local_to_global(V))
+    return A
 
 
 def _insert(A: PETSc.Mat, rows: Index, columns: Index, values: Array) -> None:

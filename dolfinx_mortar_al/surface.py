@@ -216,6 +216,18 @@ class GatheredFacets:
         return (count[inverse.ravel()] == 1).reshape(sides.shape[:2])
 
     @cached_property
+    def neighbours(self) -> Index:
+        """(nf, k) the facets that share a side with each, itself first and in place of neighbours it does not have."""
+        sides = np.concatenate([np.sort(self.facets[:, s], axis=1) for s in self.shape.sides])
+        _, side = np.unique(sides, axis=0, return_inverse=True)
+        own = np.tile(np.arange(len(self.facets)), len(self.shape.sides))
+        first, last = np.full(side.max() + 1, len(own)), np.full(side.max() + 1, -1)
+        np.minimum.at(first, side.ravel(), own)
+        np.maximum.at(last, side.ravel(), own)
+        other = np.where(first[side.ravel()] == own, last[side.ravel()], first[side.ravel()])
+        return np.concatenate([np.arange(len(self.facets))[:, None], other.reshape(len(self.shape.sides), -1).T], axis=1)
+
+    @cached_property
     def size_of_facets(self) -> float:
         """Largest diameter of a facet in the reference configuration (m)."""
         X = self.X[self.facets]
