@@ -1,6 +1,6 @@
 """Frictional contact under large deformation for FEniCSx: the mixed augmented-Lagrangian form of Le van and Nguyen."""
 
-from dolfinx_mortar_al import loads, materials, quasistatic
+from dolfinx_mortar_al import loads, materials, output, quasistatic
 from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem
@@ -15,5 +15,6 @@ __all__ = [
     "Surface",
     "loads",
     "materials",
+    "output",
     "quasistatic",
 ]

@@ -200,7 +200,7 @@ class ContactPair:
         Raises:
             ValueError: on every rank, if contactor and target face the same way all over: one is the wrong side.
         """
-        x, nodes = self._displaced(u)
+        x, nodes = self.positions(u)
         self.at = project(self.target, nodes, x, self.search(x, nodes))
         self._target_nodes = nodes
         self.commit()
@@ -221,7 +221,7 @@ class ContactPair:
 
     # ---------------------------------------------------------------- state
 
-    def _displaced(self, u: fem.Function) -> tuple[Array, Array]:
+    def positions(self, u: fem.Function) -> tuple[Array, Array]:
         """Contactor points (n, gdim) and target nodes (·, gdim) where `u` has moved them; u's ghosts are up to date."""
         X = self.facets.X + u.x.array.reshape(-1, self.gdim)[self.facets.dofs]
         x = np.einsum("qa,fai->fqi", self.N, X).reshape(-1, self.gdim)
@@ -230,7 +230,7 @@ class ContactPair:
     def evaluate(self, u: fem.Function) -> None:
         """Closest points, slip and law at displacement `u` and at the multiplier field; ghosts are up to date."""
         with self.stopwatch("search"):
-            x, nodes = self._displaced(u)
+            x, nodes = self.positions(u)
             self._target_nodes = nodes
             near = self.search(x, nodes)
         with self.stopwatch("projection"):

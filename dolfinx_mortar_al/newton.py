@@ -57,9 +57,13 @@ class NewtonSolver:
         ksp.setType("preonly")
         ksp.getPC().setType("lu")
         ksp.getPC().setFactorSolverType("mumps")
+        # The norm of mixed units says nothing about progress: full steps, guarded. Minimum fill is the quickest analysis
+        # of plane problems.
+        defaults = {"snes_linesearch_type": "basic"} | ({"mat_mumps_icntl_7": 2} if problem.gdim == 2 else {})
         options = PETSc.Options(prefix)
-        if not options.hasName("snes_linesearch_type"):
-            options["snes_linesearch_type"] = "basic"  # the norm of mixed units says nothing about progress
+        for name, value in defaults.items():
+            if not options.hasName(name):
+                options[name] = value
         snes.setFromOptions()
         self.snes = snes
 

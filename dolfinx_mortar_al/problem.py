@@ -67,6 +67,7 @@ class ContactProblem:
         self.stopwatch = Stopwatch()
         self.u, self.V, self.bcs = u, u.function_space, list(bcs)
         self.comm: MPI.Intracomm = self.V.mesh.comm
+        self.gdim: int = self.V.mesh.geometry.dim
         _check_space(self.V)
         with self.stopwatch("forms"):
             self.F = fem.form(F)

@@ -84,7 +84,7 @@ def march(
     current, increment, rejected, iterations = begin, asked, 0, 0
     past = _Past(problem)
     past.add(current)
-    bar = _bar(problem, to - begin) if progress else None
+    bar = _Bar(problem, begin, to) if progress else None
     clock = perf_counter()
     number = 1
     while number <= increments:
@@ -99,8 +99,8 @@ def march(
             past.restore()
             rejected += 1
             increment = (trial - current) / 2
-            if problem.comm.rank == 0 and bar is not None:
-                bar.write(f"load {trial:.6g} rejected: {result.message}")
+            if bar is not None:
+                bar.rejected(trial, result.message)
             if abs(increment) < smallest * abs(asked):
                 set_load(current)
                 raise StepFailure(
@@ -115,13 +115,13 @@ def march(
             increment = float(np.sign(asked)) * min(2 * abs(increment), abs(asked))
         step = Step(current, iterations, rejected, perf_counter() - clock, nominal)
         if bar is not None:
-            _show(bar, problem, step, current - begin)
+            bar.show(step)
         number += int(nominal)
         rejected, iterations = 0, 0
         yield step
         clock = perf_counter()
     if bar is not None:
-        bar.close()
+        bar.bar.close()
 
 
 class _Past:
@@ -176,14 +176,23 @@ class _Past:
         return min(MAX_ORDER, 1 + int(np.argmin(errors))) if errors else 1
 
 
-def _bar(problem: ContactProblem, span: float):
-    from tqdm import tqdm
+class _Bar:
+    """Progress on standard error, drawn by rank 0; the contact state it shows is collective."""
 
-    return tqdm(total=1.0, disable=problem.comm.rank != 0, bar_format="{percentage:3.0f}%|{bar:20}| {elapsed} {postfix}")
+    def __init__(self, problem: ContactProblem, begin: float, to: float) -> None:
+        from tqdm import tqdm
 
+        self.problem, self.begin, self.to = problem, begin, to
+        layout = "{percentage:3.0f}%|{bar:20}| {elapsed} {postfix}"
+        self.bar = tqdm(total=1.0, disable=problem.comm.rank != 0, bar_format=layout)
 
-def _show(bar, problem: ContactProblem, step: Step, done: float) -> None:
-    closed = [f"{pair.name} {pair.closed_fraction():.0%} closed, {pair.stick_fraction():.0%} stick" for pair in problem.pairs]
-    bar.set_postfix_str(f"load {step.load:.5g}, {step.iterations} iterations, " + "; ".join(closed), refresh=False)
-    bar.n = min(1.0, bar.n + 0.0)
-    bar.refresh()
+    def show(self, step: Step) -> None:
+        pairs = [
+            f"{pair.name}: {pair.closed_fraction():.1%} closed, {pair.stick_fraction():.1%} stick" for pair in self.problem.pairs
+        ]
+        self.bar.set_postfix_str("; ".join([f"load {step.load:.5g}", f"{step.iterations} iterations", *pairs]), refresh=False)
+        self.bar.update((step.load - self.begin) / (self.to - self.begin) - self.bar.n)
+
+    def rejected(self, load: float, why: str) -> None:
+        if self.problem.comm.rank == 0:
+            self.bar.write(f"load {load:.6g} rejected: {why}")

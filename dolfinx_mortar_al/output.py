@@ -1,0 +1,176 @@
+"""Results on disk: history.csv, summary.json, ParaView files, and what a figure needs gathered on rank 0."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.problem import ContactProblem
+
+__all__ = ["History", "ParaView", "Profile", "contact_profile", "deformed_cells", "probe", "summary"]
+
+Array = NDArray[np.float64]
+
+
+class History:
+    """history.csv: a row per converged step, on disk at once, so that an interrupted run keeps what it had.
+
+    Args:
+        problem: its communicator's rank 0 writes.
+        directory: where to write; made if missing.
+        columns: names, in order, of every row.
+    """
+
+    def __init__(self, problem: ContactProblem, directory: Path, columns: Sequence[str]) -> None:
+        self.columns, self.rows = list(columns), []  # type: list[str], list[dict[str, float]]
+        self.path = directory / "history.csv"
+        self._writes = problem.comm.rank == 0
+        if self._writes:
+            directory.mkdir(parents=True, exist_ok=True)
+            with self.path.open("w", newline="") as file:
+                csv.writer(file).writerow(self.columns)
+        problem.comm.Barrier()
+
+    def add(self, **row: float) -> None:
+        """Append a row; the same on every rank.
+
+        Raises:
+            ValueError: if the names are not those of the columns.
+        """
+        if set(row) != set(self.columns):
+            raise ValueError(f"a row has {sorted(row)}; the columns of {self.path.name} are {self.columns}")
+        self.rows.append(row)
+        if self._writes:
+            with self.path.open("a", newline="") as file:
+                csv.writer(file).writerow([repr(float(row[name])) for name in self.columns])
+
+    def column(self, name: str) -> Array:
+        """All values of a column so far."""
+        return np.array([row[name] for row in self.rows])
+
+
+def summary(
+    problem: ContactProblem, history: History, directory: Path, parameters: Mapping[str, Any], rejected: int
+) -> dict[str, Any]:
+    """Write summary.json: parameters, versions, ranks, unknowns, ε, Newton iterations, wall time per part, last row."""
+    import dolfinx
+    from petsc4py import PETSc
+
+    result = {
+        "parameters": {k: str(v) if isinstance(v, Path) else v for k, v in parameters.items()},
+        "versions": {"dolfinx": dolfinx.__version__, "petsc": ".".join(map(str, PETSc.Sys.getVersion()))},
+        "ranks": problem.comm.size,
+        "unknowns": problem.unknowns,
+        "epsilon": {p.name: {"normal": p.ε.normal, "tangential": p.ε.tangential} for p in problem.pairs},
+        "newton_iterations": int(sum(row["newton_iterations"] for row in history.rows)),
+        "steps": len(history.rows),
+        "rejected_steps": rejected,
+        "wall_time": {part: round(s, 4) for part, s in sorted(problem.stopwatch.seconds.items())},
+        "last": history.rows[-1] if history.rows else None,
+    }
+    if problem.comm.rank == 0:
+        (directory / "summary.json").write_text(json.dumps(result, indent=2, ensure_ascii=False) + "\n")
+    return result
+
+
+class ParaView:
+    """ParaView series (.bp): displacement on the bodies, and each pair's multiplier on its contactor's facets."""
+
+    def __init__(self, problem: ContactProblem, directory: Path) -> None:
+        from dolfinx.io import VTXWriter
+
+        directory.mkdir(parents=True, exist_ok=True)
+        self.problem = problem
+        problem.u.name = "displacement"
+        self._multipliers = [pair.multiplier.complete() for pair in problem.pairs]
+        fields = {"displacement": problem.u} | {
+            f"multiplier_{pair.name}": field for pair, field in zip(problem.pairs, self._multipliers, strict=True)
+        }
+        self._writers = [
+            VTXWriter(f.function_space.mesh.comm, directory / f"{name}.bp", [f], engine="BP4") for name, f in fields.items()
+        ]
+
+    def write(self, time: float) -> None:
+        """Add the present state at `time` (a load or a time)."""
+        for pair, field in zip(self.problem.pairs, self._multipliers, strict=True):
+            field.x.array[:] = pair.multiplier.complete().x.array
+        for writer in self._writers:
+            writer.write(time)
+
+    def close(self) -> None:
+        for writer in self._writers:
+            writer.close()
+
+
+def probe(u: fem.Function, X: Sequence[float], cells: NDArray[np.int32] | None = None) -> Array:
+    """u at reference point X (m), on every rank; where bodies share the point, in one of `cells` (this rank's).
+
+    Raises:
+        ValueError: on every rank, if X lies in no such cell.
+    """
+    from dolfinx import geometry
+
+    mesh = u.function_space.mesh
+    point = np.zeros((1, 3))
+    point[0, : len(X)] = X
+    owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
+    cells = owned if cells is None else np.intersect1d(cells, owned).astype(np.int32)
+    value = None
+    if len(cells):
+        tree = geometry.bb_tree(mesh, mesh.topology.dim, cells, padding=1e-12)
+        near = geometry.compute_collisions_points(tree, point)
+        hit = geometry.compute_colliding_cells(mesh, near, point).links(0)
+        if len(hit):
+            value = u.eval(point, hit[:1]).ravel()
+    found = [v for v in mesh.comm.allgather(value) if v is not None]
+    if not found:
+        raise ValueError(f"X = {tuple(X)} lies in no cell of the mesh")
+    return np.asarray(found[0])
+
+
+def deformed_cells(u: fem.Function) -> Array | None:
+    """(cells, corners, gdim) current corners of all two-dimensional cells in drawing order, on rank 0 (else None)."""
+    mesh = u.function_space.mesh
+    V = u.function_space
+    cells = mesh.topology.index_map(mesh.topology.dim).size_local
+    corners = 3 if mesh.topology.cell_name() == "triangle" else 4
+    dofs = V.dofmap.list[:cells, :corners]
+    if corners == 4:
+        dofs = dofs[:, [0, 1, 3, 2]]
+    x = V.tabulate_dof_coordinates()[:, : mesh.geometry.dim] + u.x.array.reshape(-1, V.dofmap.index_map_bs)
+    gathered = mesh.comm.gather(x[dofs], root=0)
+    return np.concatenate(gathered) if gathered is not None else None
+
+
+@dataclass
+class Profile:
+    """Contact along a contactor, at its Gauss points in order of X: reference and current position (m), pressure p and
+    nominal traction on the contactor (Pa), gap −g (m), status (0 open, 1 slip, 2 stick)."""
+
+    X: Array
+    x: Array
+    pressure: Array
+    traction: Array
+    gap: Array
+    status: NDArray[np.int8]
+
+
+def contact_profile(problem: ContactProblem, pair: ContactPair) -> Profile | None:
+    """The pair's contact state gathered on rank 0 (else None)."""
+    x, _ = pair.positions(problem.u)
+    mine = (pair.points(), x, pair.state.p, pair.state.t, -pair.at.g, pair.state.status)
+    gathered = problem.comm.gather(mine, root=0)
+    if gathered is None:
+        return None
+    columns = [np.concatenate(c) for c in zip(*gathered, strict=True)]
+    order = np.lexsort(np.round(columns[0], 12).T[::-1])
+    return Profile(*(c[order] for c in columns))
