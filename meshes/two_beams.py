@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from mpi4py import MPI
 
 from meshes.gmsh_session import distribute, main
@@ -36,33 +37,38 @@ class TwoBeams:
     triangles: bool = False
     gap: float = 0.0
 
-    def _beam(self, gmsh: Any, y: float, cells: int, body: int, interface: int) -> dict[int, list[int]]:
-        """One rectangle (box): its cells tagged `body`, its facets returned as {tag: entities}."""
-        geo, L = gmsh.model.geo, self.length
-        corners = [(0, y), (L, y), (L, y + self.height), (0, y + self.height)]
-        p = [geo.addPoint(a, b, 0) for a, b in corners]
-        lines = [geo.addLine(p[i], p[(i + 1) % 4]) for i in range(4)]  # bottom, end, top, clamp
-        surface = geo.addPlaneSurface([geo.addCurveLoop(lines)])
-        for line, n in zip(lines, [cells, self.across, cells, self.across], strict=True):
-            geo.mesh.setTransfiniteCurve(line, n + 1)
-        geo.mesh.setTransfiniteSurface(surface, arrangement="Left" if body == LOWER else "Right")
-        if not self.triangles:
-            geo.mesh.setRecombine(2, surface)
-        sides = dict(zip(["bottom", "end", "top", "clamp"], lines, strict=True))
-        if self.dim == 3:
-            out = geo.extrude([(2, surface)], 0, 0, self.width, numElements=[self.through], recombine=not self.triangles)
-            sides = dict(zip(sides, [tag for _, tag in out[2:]], strict=True))
-            surface = out[1][1]
-        geo.synchronize()
-        gmsh.model.addPhysicalGroup(self.dim, [surface], body)
-        return {CLAMP: [sides["clamp"]], interface: [sides["top" if body == LOWER else "bottom"]], TIP: [sides["end"]]}
+    def _beam(self, gmsh: Any, y: float, along: int, body: int) -> dict[str, int]:
+        """One rectangle (box) above height y, structured, its cells tagged `body`; returns its facets by name."""
+        model, d = gmsh.model, self.dim
+        size = [self.length, self.height, self.width][:d]
+        add = model.occ.addBox if d == 3 else model.occ.addRectangle
+        entity = (d, add(0, y, 0, *size))
+        model.occ.synchronize()
+        facets = model.getBoundary([entity], oriented=False)
+        curves = set(model.getBoundary(facets, combined=False, oriented=False)) if d == 3 else facets
+        for dim, curve in curves:
+            low, high = np.split(np.array(model.getBoundingBox(dim, curve)), 2)
+            direction = int(np.argmax(high - low))
+            model.mesh.setTransfiniteCurve(curve, (along, self.across, self.through)[direction] + 1)
+        for dim, surface in facets if d == 3 else [entity]:
+            model.mesh.setTransfiniteSurface(surface)
+            if not self.triangles:
+                model.mesh.setRecombine(dim, surface)
+        if d == 3:
+            model.mesh.setTransfiniteVolume(entity[1])
+        model.addPhysicalGroup(d, [entity[1]], body)
+
+        def at(axis: int, value: float) -> int:
+            return next(f for dim, f in facets if abs(model.occ.getCenterOfMass(dim, f)[axis] - value) < 1e-9)
+
+        return {"clamp": at(0, 0.0), "end": at(0, self.length), "bottom": at(1, y), "top": at(1, y + self.height)}
 
     def build(self, gmsh: Any) -> None:
         """Add the two beams to the current gmsh model and mesh it."""
-        lower = self._beam(gmsh, -self.height, self.along[0], LOWER, LOWER_TOP)
-        upper = self._beam(gmsh, self.gap, self.along[1], UPPER, UPPER_BOTTOM)
-        groups = {CLAMP: lower[CLAMP] + upper[CLAMP], TIP: upper[TIP]}
-        groups |= {LOWER_TOP: lower[LOWER_TOP], UPPER_BOTTOM: upper[UPPER_BOTTOM]}
+        lower = self._beam(gmsh, -self.height, self.along[0], LOWER)
+        upper = self._beam(gmsh, self.gap, self.along[1], UPPER)
+        groups = {CLAMP: [lower["clamp"], upper["clamp"]], TIP: [upper["end"]]}
+        groups |= {LOWER_TOP: [lower["top"]], UPPER_BOTTOM: [upper["bottom"]]}
         for tag, entities in groups.items():
             gmsh.model.addPhysicalGroup(self.dim - 1, entities, tag)
         gmsh.model.mesh.generate(self.dim)
