@@ -25,8 +25,17 @@ sys.path.append(str(Path(__file__).resolve().parents[1]))
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials, output, quasistatic
 from meshes.two_beams import CLAMP, LOWER_TOP, TIP, UPPER, UPPER_BOTTOM, TwoBeams
 
-COLUMNS = """load tip_ux tip_uy contact_force_x contact_force_y active_fraction stick_fraction newton_iterations
-wall_time""".split()
+COLUMNS = [
+    "load",
+    "tip_ux",
+    "tip_uy",
+    "contact_force_x",
+    "contact_force_y",
+    "active_fraction",
+    "stick_fraction",
+    "newton_iterations",
+    "wall_time",
+]
 
 
 def options() -> argparse.Namespace:
@@ -49,7 +58,10 @@ def options() -> argparse.Namespace:
 def simulate(args: argparse.Namespace, friction: float, directory: Path) -> tuple:
     """One load history: (history, deformed cells and contact profile on rank 0)."""
     beams = TwoBeams(
-        along=(args.cells_lower or args.cells[0], args.cells[0]), across=args.cells[1], dim=args.dim, triangles=args.triangles
+        along=(args.cells_lower or args.cells[0], args.cells[0]),
+        across=args.cells[1],
+        dim=args.dim,
+        triangles=args.triangles,
     )
     mesh, cell_tags, facet_tags = beams.create()
     V = fem.functionspace(mesh, ("Lagrange", args.order, (args.dim,)))
@@ -105,8 +117,12 @@ def draw(results: dict[float, tuple], directory: Path) -> None:
         axis.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", xlim=(-0.05, 1.1))
         axis.autoscale(axis="y")
         peak = contact.pressure.max(initial=0.0)
-        axis.set_title(f"({letter}) μ = {friction:g}, P = {history.column('load')[-1]:g} N, p ≤ {peak:.3g} Pa", fontsize=10)
-        axes[-1].plot(np.r_[0, history.column("load")], np.r_[0, history.column("tip_uy")], ".-", label=f"μ = {friction:g}")
+        axis.set_title(
+            f"({letter}) μ = {friction:g}, P = {history.column('load')[-1]:g} N, p ≤ {peak:.3g} Pa", fontsize=10
+        )
+        axes[-1].plot(
+            np.r_[0, history.column("load")], np.r_[0, history.column("tip_uy")], ".-", label=f"μ = {friction:g}"
+        )
     axes[-1].set(xlabel="P (N)", ylabel="deflection of the tip (m)")
     axes[-1].set_title(f"({'abcdefgh'[len(results)]}) deflection against force", fontsize=10)
     axes[-1].legend()

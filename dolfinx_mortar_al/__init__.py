@@ -2,6 +2,7 @@
 
 from dolfinx_mortar_al import loads, materials, output, quasistatic
 from dolfinx_mortar_al.contact import Contact, ContactPair
+from dolfinx_mortar_al.meshfile import read_msh
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.surface import Surface
@@ -17,4 +18,5 @@ __all__ = [
     "materials",
     "output",
     "quasistatic",
+    "read_msh",
 ]

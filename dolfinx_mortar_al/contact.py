@@ -204,7 +204,7 @@ class ContactPair:
         self.at = project(self.target, nodes, x, self.search(x, nodes))
         self._target_nodes = nodes
         self.commit()
-        self.closed = self.at.facing & (self.at.g >= -self._touch)
+        self.closed: NDArray[np.bool_] = self.at.facing & (self.at.g >= -self._touch)
         self.fresh, self.patience = True, PATIENCE
         self.evaluate(u)
         X = self.facets.X + u.x.array.reshape(-1, self.gdim)[self.facets.dofs]
@@ -291,7 +291,7 @@ class ContactPair:
         self.history = history.copy()
         if λN_hat is not None:
             self.closed = self.at.facing & (λN_hat >= 0.0)
-        self._N_old = self.target.shape.tabulate(history.η)[0]
+        self._N_old: Array = self.target.shape.tabulate(history.η)[0]
 
     # ---------------------------------------------------------------- element arrays
 

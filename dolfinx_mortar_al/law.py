@@ -42,8 +42,16 @@ class Augmentation:
 
 @dataclass
 class LawState:
-    """What the law says at n points: status (n,), λ̂_N (n,) and pressure p (n,) in Pa, nominal traction t (n, gdim) on body 1 in Pa and
-    multiplier residual r in metres, (n, gdim), or (n, 1) without friction. λ̂_T (n, gdim) where there is friction."""
+    """What the law says at n points.
+
+    Attributes:
+        status: (n,) OPEN, SLIP or STICK.
+        λN_hat: (n,) λ̂_N in Pa.
+        p: (n,) pressure ⟨λ̂_N⟩ in Pa.
+        t: (n, gdim) nominal traction on body 1 in Pa.
+        r: (n, gdim) residual of the multiplier in metres, (n, 1) without friction.
+        λT_hat: (n, gdim) λ̂_T in Pa, where there is friction.
+    """
 
     status: NDArray[np.int8]
     λN_hat: Array
@@ -94,7 +102,9 @@ class Frictionless:
         status = np.where(closed, SLIP, OPEN).astype(np.int8)
         return LawState(status, λ_hat, p, p[:, None] * ν, (λ - p[:, None]) / self.ε.normal)
 
-    def linearise(self, state: LawState, λ: Array, at: Projection, s: Array | None, δ: Variation) -> tuple[Array, Array]:
+    def linearise(
+        self, state: LawState, λ: Array, at: Projection, s: Array | None, δ: Variation
+    ) -> tuple[Array, Array]:
         """δt (n, gdim, z) and δr (n, 1, z)."""
         δp = (state.status != OPEN)[:, None] * (δ.Λ[:, 0] + self.ε.normal * δ.g)
         δt = _times(δp, at.ν) + state.p[:, None, None] * δ.ν
@@ -127,7 +137,9 @@ class Coulomb:
         r = ν * ((λN - p) / self.ε.normal)[:, None] - (λT - f) / self.ε.tangential
         return LawState(status, λN_hat, p, p[:, None] * ν - f, r, λT_hat)
 
-    def linearise(self, state: LawState, Λ: Array, at: Projection, s: Array | None, δ: Variation) -> tuple[Array, Array]:
+    def linearise(
+        self, state: LawState, Λ: Array, at: Projection, s: Array | None, δ: Variation
+    ) -> tuple[Array, Array]:
         """δt and δr, (n, gdim, z): the derivative in docs/formulation.md, misprints of eqs. (8)–(10) corrected."""
         assert state.λT_hat is not None and δ.s is not None and s is not None
         ν = at.ν

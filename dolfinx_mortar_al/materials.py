@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import ufl
 from dolfinx import fem
@@ -53,7 +54,9 @@ class Hyperelastic(ABC):
     def first_piola(self, F: Expr) -> Expr:
         """𝐏 = ∂w/∂𝐅 in Pa, written out (shorter kernels than an automatic derivative)."""
 
-    def virtual_work(self, u: fem.Function, v: Expr | None = None, *, thickness: float = 1.0, degree: int | None = None):
+    def virtual_work(
+        self, u: fem.Function, v: Expr | None = None, *, thickness: float = 1.0, degree: int | None = None
+    ) -> Any:
         """Internal virtual work ∫ 𝐏(u) : ∇v dΩ, the form G_int of eq. (1).
 
         Args:

@@ -162,4 +162,5 @@ class NewtonSolver:
         names = ["equilibrium", *(pair.name for pair in self.problem.pairs)]
         open_blocks = ", ".join(f"{n} at {v:.1e} of its tolerance" for n, v in zip(names, last, strict=True) if v > 1)
         known = {_Reason.DIVERGED_MAX_IT: "no convergence", _Reason.DIVERGED_LINEAR_SOLVE: "the linear solve failed"}
-        return f"{known.get(reason, f'SNES stopped with reason {reason}')} after {self.result.iterations} iterations: {open_blocks}"
+        why = known.get(reason, f"SNES stopped with reason {reason}")
+        return f"{why} after {self.result.iterations} iterations: {open_blocks}"

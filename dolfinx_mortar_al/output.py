@@ -96,7 +96,8 @@ class ParaView:
             f"multiplier_{pair.name}": field for pair, field in zip(problem.pairs, self._multipliers, strict=True)
         }
         self._writers = [
-            VTXWriter(f.function_space.mesh.comm, directory / f"{name}.bp", [f], engine="BP4") for name, f in fields.items()
+            VTXWriter(f.function_space.mesh.comm, directory / f"{name}.bp", [f], engine="BP4")
+            for name, f in fields.items()
         ]
 
     def write(self, time: float) -> None:

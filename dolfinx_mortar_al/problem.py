@@ -75,7 +75,9 @@ class ContactProblem:
             self._inverted = self._inversion_form()
         u.x.scatter_forward()
         if self.inverted_volume() > 0:
-            raise ValueError("u: det F ≤ 0 somewhere in the start state; start from a displacement without inverted cells")
+            raise ValueError(
+                "u: det F ≤ 0 somewhere in the start state; start from a displacement without inverted cells"
+            )
         with self.stopwatch("contact set-up"):
             self.pairs = [ContactPair(c, self.V, self.bcs, self.stopwatch) for c in contacts]
         with self.stopwatch("bulk"):
@@ -91,15 +93,11 @@ class ContactProblem:
 
     def _inversion_form(self) -> Any:
         mesh, degree = self.V.mesh, 2 * self.V.element.basix_element.degree
-        if mesh.geometry.dim != mesh.topology.dim:
-            return None
         dx = ufl.Measure("dx", mesh, metadata={"quadrature_degree": degree})
         return fem.form(ufl.conditional(ufl.gt(ufl.det(deformation_gradient(self.u)), 0.0), 0.0, 1.0) * dx)
 
     def inverted_volume(self) -> float:
         """Reference volume where det F ≤ 0 or is not a number, at the bulk's Gauss points (collective)."""
-        if self._inverted is None:
-            return 0.0
         return float(self.comm.allreduce(fem.assemble_scalar(self._inverted)))
 
     # ---------------------------------------------------------------- matrices and vectors
@@ -290,6 +288,10 @@ _ADD = PETSc.InsertMode.ADD
 
 def _check_space(V: fem.FunctionSpace) -> None:
     mesh, element = V.mesh, V.element.basix_element
+    if mesh.topology.dim != mesh.geometry.dim:
+        raise ValueError(
+            f"a mesh of dimension {mesh.topology.dim} in space of dimension {mesh.geometry.dim}: not a body"
+        )
     if V.dofmap.index_map_bs != mesh.geometry.dim:
         raise ValueError(f"u has {V.dofmap.index_map_bs} components on a mesh of dimension {mesh.geometry.dim}")
     if element.family.name != "P" or element.degree not in (1, 2) or element.discontinuous:

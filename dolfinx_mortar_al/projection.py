@@ -229,8 +229,23 @@ def _at(target: GatheredFacets, positions: Array, x: Array, point: TargetPoint, 
     if second:
         κ = np.einsum("nabk,nki,ni->nab", second[0], nodes, ν)
     Ā = A + g[:, None, None] * κ
-    Ā_inv = free @ np.linalg.pinv(free @ Ā @ free, hermitian=True) @ free if not inside.all() else np.linalg.inv(Ā)
-    return Projection(point, inside | ~at_end, N, dN, y, a, ν, g, κ, Ā_inv, np.linalg.inv(A), inside)
+    Ā_inv, A_inv = _inverse(Ā), _inverse(A)
+    on_side = np.flatnonzero(~inside)
+    if on_side.size:
+        restricted = free[on_side] @ Ā[on_side] @ free[on_side]
+        Ā_inv[on_side] = free[on_side] @ np.linalg.pinv(restricted, hermitian=True) @ free[on_side]
+    return Projection(point, inside | ~at_end, N, dN, y, a, ν, g, κ, Ā_inv, A_inv, inside)
+
+
+def _inverse(A: Array) -> Array:
+    """Inverse of (n, 1, 1) or (n, 2, 2) matrices; large where singular (the centre of curvature)."""
+    if A.shape[1] == 1:
+        return 1.0 / np.where(A == 0.0, 1e-300, A)
+    determinant = A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
+    adjoint = np.stack(
+        [np.stack([A[:, 1, 1], -A[:, 0, 1]], axis=1), np.stack([-A[:, 1, 0], A[:, 0, 0]], axis=1)], axis=1
+    )
+    return adjoint / np.where(determinant == 0.0, 1e-300, determinant)[:, None, None]
 
 
 def _free_directions(target: GatheredFacets, point: TargetPoint, a: Array, r: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -68,14 +68,14 @@ def march(
     """
     if increments < 1:
         raise ValueError(f"increments = {increments}: at least one load increment is needed")
-    if isinstance(load, fem.Constant):
-        constant = load
-        begin = float(constant.value) if start is None else start
+    begin = start if start is not None else float(load.value) if isinstance(load, fem.Constant) else 0.0
 
-        def set_load(value: float) -> None:
-            constant.value = value
-    else:
-        begin, set_load = 0.0 if start is None else start, load
+    def set_load(value: float) -> None:
+        if isinstance(load, fem.Constant):
+            load.value = value
+        else:
+            load(value)
+
     if not np.isfinite(to) or to == begin:
         raise ValueError(f"to = {to}: the load must move away from its present value {begin}")
 
@@ -188,9 +188,12 @@ class _Bar:
 
     def show(self, step: Step) -> None:
         pairs = [
-            f"{pair.name}: {pair.closed_fraction():.1%} closed, {pair.stick_fraction():.1%} stick" for pair in self.problem.pairs
+            f"{pair.name}: {pair.closed_fraction():.1%} closed, {pair.stick_fraction():.1%} stick"
+            for pair in self.problem.pairs
         ]
-        self.bar.set_postfix_str("; ".join([f"load {step.load:.5g}", f"{step.iterations} iterations", *pairs]), refresh=False)
+        self.bar.set_postfix_str(
+            "; ".join([f"load {step.load:.5g}", f"{step.iterations} iterations", *pairs]), refresh=False
+        )
         self.bar.update((step.load - self.begin) / (self.to - self.begin) - self.bar.n)
 
     def rejected(self, load: float, why: str) -> None:

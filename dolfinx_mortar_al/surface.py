@@ -93,7 +93,11 @@ class ShapeFunctions:
         if derivatives > 0:
             result.append(np.moveaxis(table[1 : d + 1], 0, 1))
         if derivatives > 1:
-            order = [basix.index(2)] if d == 1 else [basix.index(2, 0), basix.index(1, 1), basix.index(1, 1), basix.index(0, 2)]
+            order = (
+                [basix.index(2)]
+                if d == 1
+                else [basix.index(2, 0), basix.index(1, 1), basix.index(1, 1), basix.index(0, 2)]
+            )
             result.append(np.moveaxis(table[order], 0, 1).reshape(len(η), d, d, table.shape[-1]))
         return tuple(result)
 
@@ -107,7 +111,7 @@ def surface_normal(tangents: Array) -> Array:
     if tangents.shape[-1] == 2:
         a = tangents[..., 0, :]
         return np.stack([a[..., 1], -a[..., 0]], axis=-1)
-    return np.cross(tangents[..., 0, :], tangents[..., 1, :])
+    return np.asarray(np.cross(tangents[..., 0, :], tangents[..., 1, :]), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -225,7 +229,9 @@ class GatheredFacets:
         np.minimum.at(first, side.ravel(), own)
         np.maximum.at(last, side.ravel(), own)
         other = np.where(first[side.ravel()] == own, last[side.ravel()], first[side.ravel()])
-        return np.concatenate([np.arange(len(self.facets))[:, None], other.reshape(len(self.shape.sides), -1).T], axis=1)
+        return np.concatenate(
+            [np.arange(len(self.facets))[:, None], other.reshape(len(self.shape.sides), -1).T], axis=1
+        )
 
     @cached_property
     def size_of_facets(self) -> float:

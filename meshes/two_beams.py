@@ -1,6 +1,6 @@
 """Two beams, one on the other (section 4.1): one mesh of two bodies that share no node.
 
-    python3 -m meshes.two_beams beams.msh
+python3 -m meshes.two_beams beams.msh
 """
 
 from __future__ import annotations

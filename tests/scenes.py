@@ -1,0 +1,89 @@
+"""Small scenes the tests share."""
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import locate_entities_boundary
+from mpi4py import MPI
+
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials
+from meshes.two_beams import CLAMP, LOWER_TOP, TIP, UPPER_BOTTOM, TwoBeams
+
+E, NU = 2e6, 0.3
+
+
+def contact_of(mesh, tags, *, friction=0.0, swap=False, **options):
+    sides = [Surface(mesh, tags, UPPER_BOTTOM), Surface(mesh, tags, LOWER_TOP)]
+    contactor, target = reversed(sides) if swap else sides
+    return Contact(contactor, target, friction=friction, **options)
+
+
+def beams(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, young=E, swap=False, unit=1.0, mesh=None, **options):
+    """The two beams of section 4.1, coarse: (problem, force P in N). `unit` is the length unit per metre."""
+    shape = {"along": (10, 10), "across": 2} | (mesh or {})
+    for name in ("gap",):
+        shape[name] = shape.get(name, 0.0) * unit
+    built = TwoBeams(length=unit, height=0.05 * unit, width=0.1 * unit, **shape)
+    domain, _, tags = built.create(comm)
+    d = domain.geometry.dim
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", order, (d,))))
+    thickness = built.width if d == 2 else 1.0
+    P = fem.Constant(domain, 0.0)
+    ds = ufl.Measure("ds", domain, subdomain_data=tags)
+    F = materials.saint_venant_kirchhoff(young, NU).virtual_work(u, thickness=thickness)
+    F -= loads.follower_force(u, P * thickness / (built.height * built.width), ds(TIP))
+    V = u.function_space
+    bcs = [fem.dirichletbc(np.zeros(d), fem.locate_dofs_topological(V, d - 1, tags.find(CLAMP)), V)]
+    contact = contact_of(domain, tags, friction=friction, swap=swap, thickness=thickness, **options)
+    return ContactProblem(F, u, bcs=bcs, contacts=[contact]), P
+
+
+def blocks(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, pressure=0.0, dim=2, triangles=False, cells=4, height=0.5):
+    """Two stacked blocks on rollers under a dead pressure on top: (problem, pressure in Pa)."""
+    built = TwoBeams(height=height, width=0.5, along=(cells, cells), across=2, through=2, dim=dim, triangles=triangles)
+    domain, _, tags = built.create(comm)
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", order, (dim,))))
+    V = u.function_space
+
+    def dofs(axis, value):
+        facets = locate_entities_boundary(domain, dim - 1, lambda x: np.isclose(x[axis], value))
+        return fem.locate_dofs_topological((V.sub(axis), V.sub(axis).collapse()[0]), dim - 1, facets)
+
+    def roller(axis, value):
+        zero = fem.Function(V.sub(axis).collapse()[0])
+        return fem.dirichletbc(zero, dofs(axis, value), V.sub(axis))
+
+    p = fem.Constant(domain, pressure)
+    on_top = ufl.conditional(ufl.gt(ufl.SpatialCoordinate(domain)[1], height * 0.999), 1.0, 0.0)
+    down = ufl.as_vector([0.0, -1.0, 0.0][:dim])
+    F = materials.saint_venant_kirchhoff(E, NU).virtual_work(u)
+    F -= loads.dead_traction(u, p * on_top * down, ufl.Measure("ds", domain))
+    bcs = [roller(0, 0.0), roller(1, -height)] + ([roller(2, 0.0)] if dim == 3 else [])
+    return ContactProblem(F, u, bcs=bcs, contacts=[contact_of(domain, tags, friction=friction)]), p
+
+
+def set_field(problem, displacement, multiplier=None):
+    """u = displacement(X) with X (n, gdim), zero where prescribed, and Λ = multiplier(X); then evaluate the contact."""
+    V = problem.V
+    d = problem.gdim
+    X = V.tabulate_dof_coordinates()[:, :d]
+    problem.u.x.array[:] = displacement(X).ravel()
+    for pair in problem.pairs:
+        problem.u.x.array[pair.prescribed.x.array > 0] = 0.0
+        if multiplier is not None:
+            Q = pair.multiplier.field
+            values = multiplier(Q.function_space.tabulate_dof_coordinates()[:, :d])
+            Q.x.array[:] = values[:, : pair.multiplier.components].ravel()
+            start = Q.function_space.dofmap.index_map.local_range[0] * pair.multiplier.components
+            Q.x.array[pair.multiplier.idle - start] = 0.0
+            Q.x.scatter_forward()
+    problem.u.x.scatter_forward()
+
+
+def tip(problem, X=(1.0, 0.025)):
+    """Displacement of the node nearest to X, on every rank."""
+    x = problem.V.tabulate_dof_coordinates()[:, : problem.gdim]
+    distance = np.linalg.norm(x[:, : len(X)] - np.asarray(X), axis=1)
+    k = int(np.argmin(distance)) if len(x) else 0
+    mine = (distance[k], tuple(problem.u.x.array.reshape(-1, problem.gdim)[k])) if len(x) else (np.inf, ())
+    return np.array(min(problem.comm.allgather(mine))[1])

@@ -1,0 +1,71 @@
+"""Each demo runs, with a number to hold it to."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from meshes.two_beams import TwoBeams
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
+import two_beams
+
+
+def run(monkeypatch, directory, *arguments):
+    monkeypatch.setattr(sys, "argv", ["two_beams.py", "--output", str(directory), *arguments])
+    args = two_beams.options()
+    return two_beams.simulate(args, args.friction[0], directory)
+
+
+def test_two_beams_reach_the_known_deflection(monkeypatch, shared_path):
+    """Q2 40×4: scenes' −0.5854 at 10 N and −0.7796 at 20 N of the 80×8 mesh, within 4e-4."""
+    history, cells, contact = run(monkeypatch, shared_path, "--friction", "0", "--increments", "2", "--paraview")
+    assert history.column("tip_uy") == pytest.approx([-0.5854, -0.7796], abs=4e-4)
+    assert (shared_path / "displacement.bp").exists()
+    if MPI.COMM_WORLD.rank == 0:
+        on_disk = np.genfromtxt(shared_path / "history.csv", delimiter=",", names=True)
+        assert on_disk.dtype.names == tuple(two_beams.COLUMNS)
+        assert on_disk["tip_uy"].tolist() == history.column("tip_uy").tolist()
+        said = json.loads((shared_path / "summary.json").read_text())
+        assert said["newton_iterations"] == history.column("newton_iterations").sum()
+        assert said["unknowns"] == {"u": 2916, "multiplier of contact": 81}
+        two_beams.draw({0.0: (history, cells, contact)}, shared_path)
+        assert (shared_path / "figure1.png").stat().st_size > 10_000
+        # without friction the tip carries the contact: 95 % of the force
+        at_tip = contact.X[:, 0] > 0.9
+        assert contact.pressure[at_tip].sum() > 0.9 * contact.pressure.sum()
+
+
+def test_two_beams_with_friction(monkeypatch, shared_path):
+    """μ = 0.3: sliding all over, less deflection than without friction (regression to 1e-6, seen with 1 to 20 steps)."""
+    history, *_ = run(monkeypatch, shared_path, "--friction", "0.3", "--increments", "2", "--load", "10")
+    assert history.column("tip_uy")[-1] == pytest.approx(-0.5802, abs=4e-4)
+
+
+def test_a_mesh_file_of_ones_own(shared_path):
+    """The builder's .msh, read back in parallel with its tags."""
+    from dolfinx_mortar_al import read_msh
+
+    beams = TwoBeams(along=(4, 5), across=2)
+    path = shared_path / "beams.msh"
+    if MPI.COMM_WORLD.rank == 0:
+        import gmsh
+
+        gmsh.initialize(interruptible=False)
+        gmsh.option.setNumber("General.Verbosity", 1)
+        beams.build(gmsh)
+        gmsh.write(str(path))
+        gmsh.finalize()
+    MPI.COMM_WORLD.Barrier()
+    mesh, cells, facets = read_msh(path)
+    assert mesh.topology.index_map(2).size_global == 4 * 2 + 5 * 2
+    owned = mesh.topology.index_map(1).size_local
+    count = MPI.COMM_WORLD.allreduce(int(np.sum(facets.find(13) < owned)))
+    assert count == 5
+    assert (
+        MPI.COMM_WORLD.allreduce(len(np.intersect1d(cells.find(1), np.arange(mesh.topology.index_map(2).size_local))))
+        == 8
+    )

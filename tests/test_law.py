@@ -1,0 +1,58 @@
+"""Eq. (1) as the paper prints it, point by point, against the batched law."""
+
+import numpy as np
+import pytest
+
+from dolfinx_mortar_al.law import OPEN, SLIP, STICK, Augmentation, Coulomb, Frictionless
+from dolfinx_mortar_al.projection import Projection, TargetPoint
+
+
+def point_geometry(ν, g):
+    """A projection of which the law reads ν, g and `facing` only."""
+    n = len(g)
+    none = np.zeros((n, 0))
+    facing = np.ones(n, dtype=bool)
+    return Projection(
+        TargetPoint(np.zeros(n, int), none), facing, none, none, none, none, ν, g, none, none, none, facing
+    )
+
+
+def slow_law(Λ, ν, g, s, μ, ε):
+    """Eq. (1) with its brackets, one point at a time."""
+    λN, λT = Λ @ ν, -(Λ - ν * (Λ @ ν))
+    hat_N = λN + ε.normal * g
+    hat_T = λT + ε.tangential * (s - ν * (ν @ s))
+    p, size = max(hat_N, 0.0), np.linalg.norm(hat_T)
+    bracket = 0.0 if size == 0 else max(1 - μ * p / size, 0.0)
+    f = (1 - bracket) * hat_T
+    return p * ν - f, ν * (λN - p) / ε.normal - (λT - f) / ε.tangential
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_coulomb_is_eq_1(dim):
+    rng = np.random.default_rng(0)
+    n, ε, μ = 200, Augmentation(3.0, 5.0), 0.4
+    ν = rng.standard_normal((n, dim))
+    ν /= np.linalg.norm(ν, axis=1, keepdims=True)
+    Λ, s, g = rng.standard_normal((n, dim)), 0.2 * rng.standard_normal((n, dim)), rng.standard_normal(n)
+    Λ[0] = s[0] = 0.0  # λ̂_T = 0, where the bracket is replaced by 0
+    state = Coulomb(ε, μ).evaluate(Λ, point_geometry(ν, g), s, np.zeros(n))
+    for k in range(n):
+        t, r = slow_law(Λ[k], ν[k], g[k], s[k], μ, ε)
+        assert np.allclose(state.t[k], t, atol=1e-14)
+        assert np.allclose(state.r[k], r, atol=1e-14)
+    assert set(state.status) == {OPEN, SLIP, STICK}
+    friction = np.linalg.norm(state.t - state.p[:, None] * ν, axis=1)
+    assert np.all(friction <= μ * state.p + 1e-14)
+
+
+def test_frictionless_is_coulomb_without_friction_in_the_normal_direction():
+    rng = np.random.default_rng(1)
+    n, ε = 100, Augmentation(3.0, 3.0)
+    ν = np.tile([0.6, 0.8], (n, 1))
+    λ, g = rng.standard_normal((n, 1)), rng.standard_normal(n)
+    at = point_geometry(ν, g)
+    a = Frictionless(ε).evaluate(λ, at, None, np.zeros(n))
+    b = Coulomb(ε, 1e-300).evaluate(λ * ν, at, np.zeros((n, 2)), np.zeros(n))
+    assert np.allclose(a.t, b.t, atol=1e-14)
+    assert np.allclose(a.r, np.einsum("ni,ni->n", b.r, ν)[:, None], atol=1e-14)

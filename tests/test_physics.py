@@ -1,0 +1,174 @@
+"""What must hold whatever the mesh: equilibrium, objectivity, units, independence of ε and of the way of loading."""
+
+import numpy as np
+import pytest
+from scenes import NU, E, beams, blocks, set_field, tip
+
+from dolfinx_mortar_al import NewtonSolver, quasistatic
+
+
+def solve(problem, load, to, increments=1, **options):
+    return list(quasistatic.march(problem, load, to=to, increments=increments, **options))
+
+
+@pytest.mark.parametrize("dim, triangles, order", [(2, False, 2), (2, True, 1), (3, False, 1), (3, True, 2)])
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_patch(dim, triangles, order, friction):
+    """Two blocks on matching meshes under a uniform pressure: uniform contact pressure, a linear displacement."""
+    problem, p = blocks(dim=dim, triangles=triangles, order=order, friction=friction)
+    solve(problem, p, 2e4)
+    pair = problem.pairs[0]
+    assert np.allclose(pair.state.p, 2e4, rtol=1e-10)
+    assert np.allclose(pair.at.g, 0.0, atol=1e-10)
+    X = problem.V.tabulate_dof_coordinates()[:, :dim]
+    strain = np.linalg.lstsq(np.c_[X, np.ones(len(X))], problem.u.x.array.reshape(-1, dim), rcond=None)[0]
+    assert np.allclose(np.c_[X, np.ones(len(X))] @ strain, problem.u.x.array.reshape(-1, dim), atol=1e-10)
+
+
+def test_newton_converges_quadratically_on_a_smooth_step():
+    """Where no point changes its state, the error squares itself until round-off."""
+    problem, P = beams(friction=0.3)
+    solve(problem, P, 10.0, 4)
+    before = problem.pairs[0].state.status.copy()
+    P.value = 10.02
+    solver = NewtonSolver(problem, rtol=1e-13)
+    result = solver.solve()
+    assert np.array_equal(before, problem.pairs[0].state.status)
+    r = np.array([max(n) for n in result.norms])
+    order = np.log(r[2:] / r[1:-1]) / np.log(r[1:-1] / r[:-2])
+    resolved = r[2:] > 10.0  # above the floor of round-off
+    assert resolved.any()
+    assert order[resolved].max() > 1.8
+
+
+def test_action_equals_reaction():
+    problem, P = beams(friction=0.3)
+    solve(problem, P, 5.0, 2)
+    pair, comm = problem.pairs[0], problem.comm
+    pair._contactor_fixed[:] = pair._target_fixed[:] = False  # count what the clamps take, too
+    on = [np.sum(comm.allgather(values.sum(axis=(0, 1))), axis=0) for _, values in pair.body_residual()]
+    assert np.linalg.norm(on[0]) > 1.0
+    assert np.allclose(on[0], -on[1], rtol=1e-10)
+    assert np.allclose(pair.force(), -on[0], rtol=1e-10)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_superposed_rotation_gives_no_slip_and_rotated_forces(dim):
+    mesh = {"dim": dim, "along": (6, 5), "across": 1}
+    problem, _ = beams(friction=0.5, order=2, mesh=mesh, epsilon_normal=1e7, epsilon_tangential=1e7)
+    pair = problem.pairs[0]
+    pair.prescribed.x.array[:] = 0.0  # a free body, for this test
+    Q = np.linalg.qr(np.random.default_rng(2).standard_normal((dim, dim)))[0]
+    Q[:, 0] *= np.sign(np.linalg.det(Q))  # a rotation, not a reflection
+
+    def waves(X):
+        u = 1e-4 * np.sin(7 * X + 1.0)
+        u[:, 1] += -0.1 * X[:, 0] ** 2
+        return u
+
+    def traction(X):
+        return 1e3 * (np.array([0.1, 1.0, 0.2])[:dim] + 0.3 * np.cos(5 * X))
+
+    set_field(problem, waves, traction)
+    pair.evaluate(problem.u)
+    pair.commit()
+    pair.evaluate(problem.u)
+    pair.closed = pair.state.λN_hat > 0
+    pair.evaluate(problem.u)
+    t = pair.state.t.copy()
+    set_field(problem, lambda X: (X + waves(X)) @ Q.T - X, lambda X: traction(X) @ Q.T)
+    pair.evaluate(problem.u)
+    assert np.abs(t).max(initial=0.0) > 0 or not len(t)
+    assert np.allclose(pair.s, 0.0, atol=1e-10)
+    assert np.allclose(pair.state.t, t @ Q.T, atol=1e-10 * 1e3 + 1e-10 * 1e7)  # Pa; gaps are good to 1e-16 × ε
+
+
+def test_units_do_not_matter():
+    """Millimetres and N/mm² instead of metres and Pa: the same iterations, the same solution."""
+    metres, P = beams(friction=0.3)
+    steps = solve(metres, P, 8.0, 4)
+    millimetres, Q = beams(friction=0.3, unit=1e3, young=E * 1e-6)
+    same = solve(millimetres, Q, 8.0, 4)
+    assert [s.iterations for s in steps] == [s.iterations for s in same]
+    assert np.allclose(tip(millimetres, (1e3, 25.0)) / 1e3, tip(metres), rtol=1e-8)
+    assert np.allclose(millimetres.pairs[0].force(), metres.pairs[0].force(), rtol=1e-7)
+
+
+def test_answer_does_not_depend_on_ε():
+    """ε over six orders of magnitude: only partly closed facets notice, the tip by less than 1e-4 of its deflection."""
+    tips = []
+    for factor in (1e-3, 1.0, 1e3):
+        problem, P = beams(mesh={"along": (40, 40), "across": 4}, epsilon_normal=factor * 1e7)
+        solve(problem, P, 5.0, 5)
+        tips.append(tip(problem)[1])
+    assert np.ptp(tips) < 1e-4 * abs(tips[1])
+
+
+def test_the_number_of_increments_does_not_matter_without_friction():
+    tips = []
+    for increments in (1, 2, 5):
+        problem, P = beams()
+        solve(problem, P, 10.0, increments)
+        tips.append(tip(problem))
+    assert np.allclose(tips, tips[0], rtol=1e-6)
+
+
+def test_a_pair_that_starts_open_closes_later():
+    problem, P = beams(mesh={"gap": 0.02}, friction=0.3)
+    closed = {}
+    for step in quasistatic.march(problem, P, to=3.0, increments=30):
+        closed[step.load] = problem.pairs[0].closed_fraction()
+    assert closed[0.1] == 0.0  # the upper beam alone goes down by 1.5 cm
+    assert closed[3.0] > 0.0
+    assert problem.pairs[0].force()[1] > 0.1
+
+
+def test_a_start_in_penetration_is_pushed_apart():
+    problem, P = beams(mesh={"gap": -5e-4})
+    solve(problem, P, 1e-6)
+    pair = problem.pairs[0]
+    free = pair.points()[:, 0] > 0.2  # away from the clamps, which hold their overlap
+    deepest = max(problem.comm.allgather(float(pair.at.g[free].max(initial=-np.inf))))
+    assert deepest < 5e-6  # a hundredth of the initial 5e-4, at Gauss points; the mean over each node's facets is zero
+    assert pair.force()[1] > 1.0
+
+
+def test_swapped_roles_agree_within_the_discretisation_error():
+    tips = []
+    for swap in (False, True):
+        problem, P = beams(mesh={"along": (20, 20)}, swap=swap)
+        solve(problem, P, 5.0, 5)
+        tips.append(tip(problem)[1])
+    assert abs(tips[1] - tips[0]) < 2e-3 * abs(tips[0])
+
+
+class _FailsOnce(NewtonSolver):
+    """Says that its third solve failed, after having moved everything."""
+
+    calls = 0
+
+    def solve(self):
+        self.calls += 1
+        result = super().solve()
+        if self.calls == 3:
+            for pair in self.problem.pairs:
+                pair.commit()  # a wrong slip history, which the rollback must undo
+            result.converged = False
+        return result
+
+
+def test_a_rejected_step_restores_everything():
+    """Loads 2.5, 5, (7.5 fails), 6.25, 7.5 …: as if 7.5 had never been tried."""
+    problem, P = beams(friction=0.3)
+    loads = [(s.load, s.rejected) for s in solve(problem, P, 7.5, 3, solver=_FailsOnce(problem))]
+    assert loads == [(2.5, 0), (5.0, 0), (6.25, 1), (7.5, 0)]
+    plain, Q = beams(friction=0.3)
+    for to, n in ((5.0, 2), (7.5, 2)):
+        solve(plain, Q, to, n)
+    assert np.allclose(tip(problem), tip(plain), rtol=1e-8)
+    assert np.allclose(problem.pairs[0].force(), plain.pairs[0].force(), rtol=1e-6)
+
+
+def test_the_scale_of_epsilon_is_the_stiffness_of_the_bulk():
+    problem, _ = beams(order=1)
+    assert 0.01 < problem.pairs[0].ε.normal / (E / (1 - NU**2) / 0.025) < 10

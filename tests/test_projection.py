@@ -1,0 +1,106 @@
+"""The closest-point map against SciPy's bounded minimisation on each facet, and its continuity at edges and ends."""
+
+import basix
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from dolfinx_mortar_al.projection import project
+from dolfinx_mortar_al.search import CandidateSearch, candidates
+from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions
+
+CELLS = {
+    "line": basix.CellType.interval,
+    "triangle": basix.CellType.triangle,
+    "quadrilateral": basix.CellType.quadrilateral,
+}
+
+
+def curved_surface(cell: str, order: int, n: int = 3) -> GatheredFacets:
+    """n (×n) facets over the unit interval or square, lifted to y (z) = 0.3 sin 2x (…)."""
+    shape = ShapeFunctions(CELLS[cell], order)
+    corners = []
+    for ix in np.ndindex(*([n] * shape.dim)):
+        o, h = np.array(ix) / n, 1 / n
+        if cell == "triangle":
+            corners += [(o, [[h, 0], [0, h]]), (o + h, [[-h, 0], [0, -h]])]
+        else:
+            corners += [(o, h * np.eye(shape.dim))]
+    flat = np.array([o + shape.nodes @ np.array(A) for o, A in corners])  # (nf, nodes, dim)
+    lift = 0.3 * np.sin(2 * flat[..., 0]) + (0.2 * np.cos(3 * flat[..., 1]) if shape.dim == 2 else 0)
+    X = np.concatenate([flat, lift[..., None]], axis=2).reshape(-1, shape.dim + 1)
+    key = np.round(X, 9)
+    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    facets = inverse.reshape(flat.shape[:2])
+    orientation = -np.ones(len(flat)) if shape.dim == 1 else np.ones(len(flat))  # outward = up
+    return GatheredFacets(shape, facets, np.arange(len(first)), X[first], orientation)
+
+
+def slow_distance(surface: GatheredFacets, x: np.ndarray) -> float:
+    """Smallest distance over all facets by SciPy, several starts each."""
+    shape, best = surface.shape, np.inf
+    triangle = len(shape.corners) == 3
+    for nodes in surface.X[surface.facets]:
+
+        def squared(η, nodes=nodes):
+            return float(np.sum((x - shape.tabulate(np.atleast_2d(η))[0][0] @ nodes) ** 2))
+
+        for start in [*shape.corners, shape.corners.mean(axis=0)]:
+            constraint = [{"type": "ineq", "fun": lambda η: 1 - η.sum()}] if triangle else []
+            found = minimize(
+                squared,
+                start,
+                bounds=[(0, 1)] * shape.dim,
+                constraints=constraint,
+                method="SLSQP",
+                options={"ftol": 1e-15},
+            )
+            best = min(best, np.sqrt(found.fun))
+    return best
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("cell", CELLS)
+def test_distance_is_that_of_a_slow_minimisation(cell, order):
+    surface = curved_surface(cell, order)
+    d = surface.shape.dim + 1
+    x = np.random.default_rng(3).uniform(-0.1, 1.1, (12, d))
+    x[:, -1] = np.random.default_rng(4).uniform(-0.1, 0.7, 12)
+    at = project(surface, surface.X, x, CandidateSearch(surface)(x, surface.X))
+    slow = np.array([slow_distance(surface, p) for p in x])
+    # the minimiser finds the squared distance to about 1e-14, the distance to its root
+    assert np.allclose(np.linalg.norm(x - at.y, axis=1), slow, atol=2e-7)
+    assert np.allclose(np.abs(at.g), np.linalg.norm(x - at.y, axis=1), atol=1e-13)
+    assert np.allclose(np.linalg.norm(at.ν, axis=1), 1.0, atol=1e-13)
+    assert np.allclose(x, at.y - at.g[:, None] * at.ν, atol=1e-12)  # x − y is along ν, also on edges and vertices
+
+
+def test_gap_is_continuous_across_a_vertex_and_its_sign_says_inside():
+    """Points on a path over a kink of a faceted (order 1) curve, outside and inside."""
+    surface = curved_surface("line", 1)
+    for side in (0.02, -0.02):
+        x = np.stack([np.linspace(0.25, 0.42, 2001), 0.3 * np.sin(2 * np.linspace(0.25, 0.42, 2001)) + side], axis=1)
+        at = project(surface, surface.X, x, CandidateSearch(surface)(x, surface.X))
+        assert np.all(np.sign(at.g) == -np.sign(side))
+        assert np.max(np.abs(np.diff(at.g))) < 2 * np.max(np.linalg.norm(np.diff(x, axis=0), axis=1))  # 1-Lipschitz
+
+
+def test_points_beyond_the_end_face_no_target():
+    surface = curved_surface("line", 2)
+    x = np.array([[-0.05, 0.0], [0.5, 0.4], [1.05, 0.3]])
+    at = project(surface, surface.X, x, CandidateSearch(surface)(x, surface.X))
+    assert at.facing.tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_candidates_hold_the_closest_facet_after_motion_within_the_margin(cell):
+    surface = curved_surface(cell, 2)
+    rng = np.random.default_rng(5)
+    x = rng.uniform(0, 1, (40, surface.shape.dim + 1))
+    margin = 0.2
+    near = candidates(x, surface.X[surface.facets], margin)
+    moved = x + rng.uniform(-1, 1, x.shape) * margin / 4 / np.sqrt(x.shape[1])
+    every = np.tile(np.arange(len(surface.facets)), (len(x), 1))
+    a = project(surface, surface.X, moved, near)
+    b = project(surface, surface.X, moved, every)
+    assert np.allclose(np.linalg.norm(moved - a.y, axis=1), np.linalg.norm(moved - b.y, axis=1), atol=1e-12)

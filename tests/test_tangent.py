@@ -1,0 +1,80 @@
+"""Every block of the Jacobian against central differences of the residual, in open, slipping and sticking states."""
+
+import numpy as np
+import pytest
+from scenes import beams, set_field
+
+from dolfinx_mortar_al.law import OPEN, SLIP, STICK
+
+CASES = [
+    pytest.param(
+        dim, triangles, order, friction, id=f"{dim}D-{'simplex' if triangles else 'box'}-P{order}-mu{friction}"
+    )
+    for dim in (2, 3)
+    for triangles in (False, True)
+    for order in (1, 2)
+    for friction in (0.0, 0.8)
+]
+
+
+def rough(scale, seed):
+    """A smooth vector field of X with no symmetry, of size `scale`."""
+    rng = np.random.default_rng(seed)
+    waves = rng.uniform(5, 20, (3, 3))
+    phase = rng.uniform(0, 6, 3)
+    return lambda X: scale * np.sin(X @ waves[: X.shape[1], : X.shape[1]] + phase[: X.shape[1]])
+
+
+def bend(X):
+    """A common bending of both beams with a small random mismatch of the surfaces."""
+    u = np.zeros_like(X)
+    u[:, 1] = -0.2 * X[:, 0] ** 2
+    u[:, 0] = 0.2 * X[:, 0] * X[:, 1] * 2
+    return u
+
+
+@pytest.mark.parametrize("dim, triangles, order, friction", CASES)
+@pytest.mark.parametrize("ratio", [1.0, 3.0])
+def test_directional_derivative(dim, triangles, order, friction, ratio):
+    """K d against (R(x + h d) − R(x − h d))/2h, per block, below 1e-6; ε_T = ratio × ε_N."""
+    mesh = {"along": (9, 8), "across": 1, "dim": dim, "triangles": triangles}
+    ε = 1e7
+    problem, P = beams(order=order, friction=friction, mesh=mesh, epsilon_normal=ε, epsilon_tangential=ratio * ε)
+    pair = problem.pairs[0]
+    P.value = 1.0
+    # an earlier state for the slip to count from, then one with gaps, slips and multipliers of comparable weight
+    set_field(problem, lambda X: bend(X) + rough(1e-5, 1)(X))
+    pair.evaluate(problem.u)
+    pair.commit()
+    state = [
+        lambda X: bend(X) + rough(3e-4, 2)(X),
+        lambda X: 2e3 * (rough(1, 3)(X) + np.array([0.2, 0.6, 0.1])[: X.shape[1]]),
+    ]
+    direction = [rough(1.0, 4), rough(ε, 5)]
+
+    def at(h):
+        set_field(problem, lambda X: state[0](X) + h * direction[0](X), lambda X: state[1](X) + h * direction[1](X))
+        problem.pack(problem.x)
+        problem.assemble_residual(problem.x, problem.residual)
+        return [part.array.copy() for part in problem.residual.getNestSubVecs()]
+
+    pair.patience = 0.0
+    at(0.0)
+    pair.closed = pair.at.facing & (pair.state.λN_hat > 0)  # the law itself, without Newton's caution
+    pair.switch = lambda residual: None
+    at(0.0)
+    counts = np.bincount(np.concatenate(problem.comm.allgather(pair.state.status)), minlength=3)
+    assert counts[OPEN] > 0 and counts[SLIP] > 0
+    assert counts[STICK] > 0 or friction == 0
+    problem.assemble_jacobian()
+
+    set_field(problem, direction[0], direction[1])
+    d, Kd = problem.x.duplicate(), problem.x.duplicate()
+    problem.pack(d)
+    problem.matrix.mult(d, Kd)
+    h = 1e-8
+    plus, minus = at(h), at(-h)
+    for k, part in enumerate(Kd.getNestSubVecs()):
+        difference = (plus[k] - minus[k]) / (2 * h)
+        error = np.sqrt(problem.comm.allreduce(float(np.sum((difference - part.array) ** 2))))
+        assert error < 1e-6 * part.norm()
