@@ -51,6 +51,7 @@ def options() -> argparse.Namespace:
     add("--triangles", action="store_true", help="simplices instead of quadrilaterals or hexahedra")
     add("--swap", action="store_true", help="make the lower beam the contactor")
     add("--output", type=Path, default=Path("results/two_beams"), help="folder for the results (%(default)s)")
+    add("--no-figure", action="store_true", help="skip figure1.png")
     add("--paraview", action="store_true", help="write .bp series")
     return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
 
@@ -137,5 +138,5 @@ if __name__ == "__main__":
         results[friction] = simulate(args, friction, directory)
         if MPI.COMM_WORLD.rank == 0:
             print(f"μ = {friction:g}: tip u_y = {results[friction][0].column('tip_uy')[-1]:.6f} m in {directory}")
-    if MPI.COMM_WORLD.rank == 0:
+    if MPI.COMM_WORLD.rank == 0 and not args.no_figure:
         draw(results, args.output)

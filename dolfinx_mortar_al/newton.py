@@ -57,9 +57,10 @@ class NewtonSolver:
         ksp.setType("preonly")
         ksp.getPC().setType("lu")
         ksp.getPC().setFactorSolverType("mumps")
-        # The norm of mixed units says nothing about progress: full steps, guarded. Minimum fill is the quickest analysis
-        # of plane problems.
-        defaults = {"snes_linesearch_type": "basic"} | ({"mat_mumps_icntl_7": 2} if problem.gdim == 2 else {})
+        # Full steps, guarded: with changes of contact state the norm of the residual says little about progress.
+        # MUMPS: the blocks are scaled already (8: 0); minimum fill is the quickest analysis of plane problems (7: 2).
+        defaults = {"snes_linesearch_type": "basic", "mat_mumps_icntl_8": 0}
+        defaults |= {"mat_mumps_icntl_7": 2} if problem.gdim == 2 else {}
         options = PETSc.Options(prefix)
         for name, value in defaults.items():
             if not options.hasName(name):
@@ -121,7 +122,7 @@ class NewtonSolver:
         scale_U = max([p.force_scale, *forces])
         scales = [max(self.rtol * scale_U, p.force_floor)]
         for pair, force, floor in zip(p.pairs, forces, p.gap_floor, strict=True):
-            scales.append(max(self.rtol * force / pair.stiffness, floor))
+            scales.append(pair.ε.normal * max(self.rtol * force / pair.stiffness, floor))
         return scales
 
     def _watch_pattern(self, iteration: int) -> int | None:

@@ -1,6 +1,8 @@
 """The coupled problem, eq. (3): a UFL bulk residual and contact pairs in PETSc nested vectors and matrices.
 
-Unknowns are [U, Λ₁, Λ₂, …], one multiplier block per pair; the Jacobian is the MATNEST of eq. (6). Contact couples nodes
+Unknowns are [U, Λ₁/ε₁, Λ₂/ε₂, …], one multiplier block per pair, and the multipliers' residual is taken times ε_N: all
+unknowns are lengths, all residuals forces, and the blocks of the Jacobian, the MATNEST of eq. (6), are of one magnitude
+whatever the units, so that the direct solver needs no scaling of its own. Contact couples nodes
 of ranks that share no ghost: element blocks are inserted with global indices and PETSc ships the rows of other ranks.
 """
 
@@ -163,20 +165,25 @@ class ContactProblem:
 
     # ---------------------------------------------------------------- evaluation
 
+    @property
+    def _units(self) -> list[float]:
+        """What the unknowns of each block are counted in: metres, and ε_N in Pa/m for multipliers."""
+        return [1.0] + [pair.ε.normal for pair in self.pairs]
+
     def unpack(self, x: PETSc.Vec) -> None:
         """Copy the nested vector into the Functions, ghosts included."""
-        for field, part in zip(self.fields, x.getNestSubVecs(), strict=True):
-            field.x.array[: part.getLocalSize()] = part.array_r
+        for field, part, unit in zip(self.fields, x.getNestSubVecs(), self._units, strict=True):
+            field.x.array[: part.getLocalSize()] = unit * part.array_r
             field.x.scatter_forward()
 
     def pack(self, x: PETSc.Vec) -> None:
         """Copy the Functions into the nested vector."""
-        for field, part in zip(self.fields, x.getNestSubVecs(), strict=True):
-            part.array[:] = field.x.array[: part.getLocalSize()]
+        for field, part, unit in zip(self.fields, x.getNestSubVecs(), self._units, strict=True):
+            part.array[:] = field.x.array[: part.getLocalSize()] / unit
         x.assemble()
 
     def assemble_residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        """The left-hand side of eq. (3) at x: forces (N) and the multipliers' residual (m³)."""
+        """The left-hand side of eq. (3) at x: forces, and ε_N times the multipliers' residual (N)."""
         self.unpack(x)
         parts = f.getNestSubVecs()
         with self.stopwatch("bulk"):
@@ -193,11 +200,11 @@ class ContactProblem:
             pair.evaluate(self.u)
             with self.stopwatch("contact"):
                 part.set(0.0)
-                _insert_vector(part, *pair.multiplier_residual())
+                _insert_vector(part, *pair.multiplier_residual(), pair.ε.normal)
                 part.assemble()
                 pair.switch(part)
-                part.set(0.0)  # and stays so at redundant nodes, whose value is 0 and whose row is the identity's
-                _insert_vector(part, *pair.multiplier_residual())
+                part.set(0.0)  # and stays so at redundant nodes, whose value is 0 and whose row is diagonal
+                _insert_vector(part, *pair.multiplier_residual(), pair.ε.normal)
                 part.assemble()
                 for blocks, values in pair.body_residual():
                     _insert_vector(parts[0], blocks, values)
@@ -222,13 +229,13 @@ class ContactProblem:
                     if block is not None:
                         block.zeroEntries()
             for k, pair in enumerate(self.pairs, start=1):
-                element = pair.tangent()
+                element, unit = pair.tangent(), pair.ε.normal
                 _insert(self.blocks[0][0], *element.UU)
-                _insert(self.blocks[0][k], *element.UΛ)
-                _insert(self.blocks[k][0], *element.ΛU)
-                _insert(self.blocks[k][k], *element.ΛΛ)
+                _insert(self.blocks[0][k], *element.UΛ, unit)
+                _insert(self.blocks[k][0], *element.ΛU, unit)
+                _insert(self.blocks[k][k], *element.ΛΛ, unit**2)
                 idle = pair.multiplier.idle
-                self.blocks[k][k].setValuesRCV(idle[:, None], idle[:, None], np.ones((len(idle), 1, 1)), _ADD)
+                self.blocks[k][k].setValuesRCV(idle[:, None], idle[:, None], np.full((len(idle), 1, 1), unit), _ADD)
         with self.stopwatch("bulk"):
             dolfinx_petsc.assemble_matrix(self.blocks[0][0], self.J, bcs=self.bcs)
         with self.stopwatch("contact"):
@@ -355,10 +362,10 @@ def _matrix_with_pattern(V: fem.FunctionSpace, *patterns: tuple[Index, Index, Ar
     return A
 
 
-def _insert(A: PETSc.Mat, rows: Index, columns: Index, values: Array) -> None:
-    """Add element matrices (m, rows, row_bs, columns, column_bs) at global blocks rows (m, ·) and columns (m, ·)."""
+def _insert(A: PETSc.Mat, rows: Index, columns: Index, values: Array, factor: float = 1.0) -> None:
+    """Add `factor` × element matrices (m, rows, row_bs, columns, column_bs) at global blocks (m, ·), (m, ·)."""
     m, k, row_bs, l, column_bs = values.shape
-    values = values.reshape(m, k * row_bs, l * column_bs)
+    values = factor * values.reshape(m, k * row_bs, l * column_bs)
     if row_bs == column_bs and row_bs > 1:
         A.setValuesBlockedRCV(rows.astype(np.int32), columns.astype(np.int32), values, _ADD)
         return
@@ -367,8 +374,8 @@ def _insert(A: PETSc.Mat, rows: Index, columns: Index, values: Array) -> None:
     A.setValuesRCV(i.astype(np.int32), j.astype(np.int32), values, _ADD)
 
 
-def _insert_vector(b: PETSc.Vec, blocks: Index, values: Array) -> None:
-    """Add element vectors (m, nodes, components) at global blocks (m, nodes)."""
+def _insert_vector(b: PETSc.Vec, blocks: Index, values: Array, factor: float = 1.0) -> None:
+    """Add `factor` × element vectors (m, nodes, components) at global blocks (m, nodes)."""
     m = values.shape[2]
     index = (blocks[:, :, None] * m + np.arange(m)).astype(np.int32)
-    b.setValues(index.ravel(), values.ravel(), addv=_ADD)
+    b.setValues(index.ravel(), factor * values.ravel(), addv=_ADD)
