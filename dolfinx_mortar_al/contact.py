@@ -290,7 +290,7 @@ class ContactPair:
         """Count the slip from the target points `history`; with `λN_hat` (n,) expect the contact state that it says."""
         self.history = history.copy()
         if λN_hat is not None:
-            self.closed = self.at.facing & (λN_hat >= 0.0)
+            self.closed = self.at.facing & (λN_hat >= -self.ε.normal * self._touch)
         self._N_old: Array = self.target.shape.tabulate(history.η)[0]
 
     # ---------------------------------------------------------------- element arrays
