@@ -188,7 +188,7 @@ class ContactPair:
         default = SOFTER * stiffness
         εN = default if c.epsilon_normal is None else c.epsilon_normal
         εT = default if c.epsilon_tangential is None else c.epsilon_tangential
-        self.stiffness = stiffness
+        self.stiffness, self.unit = stiffness, default
         self.ε = Augmentation(εN, εT)
         # the residual of an open point, ν λ_N/ε_N − λ_T/ε_T, turns with ν unless ε_N = ε_T
         self._same_ε = εN == εT or not c.friction
@@ -246,14 +246,15 @@ class ContactPair:
     def switch(self, residual: PETSc.Vec) -> None:
         """Let points open and close, as far as the gaps are known (``docs/newton.md``).
 
-        `residual` is ε_N × the multiplier's residual with the points held open or closed as they were. Divided by the nodes'
-        area it is ε_N e, with e how well the gap condition is met: the error of all gaps. A point that was open closes where λ̂_N exceeds
+        `residual` is `unit` × the multiplier's residual with the points held open or closed as they were. Divided by the
+        nodes' area it is how well the gap condition is met, the error e of all gaps. A point that was open closes where λ̂_N exceeds
         `patience`·ε_N e and is the deepest in its neighbourhood; one that was closed opens where λ̂_N is as far below zero.
         As Newton converges e vanishes and what remains is eq. (1).
         """
         error = residual.duplicate()
         error.pointwiseDivide(residual, self._node_area)
-        known = self.patience * error.norm(PETSc.NormType.NORM_INFINITY) + self.ε.normal * self._touch
+        e = error.norm(PETSc.NormType.NORM_INFINITY) / self.unit
+        known = self.ε.normal * (self.patience * e + self._touch)
         λ, was_closed = self.state.λN_hat, self.closed
         close = np.maximum(known, DEEPEST * self._neighbourhood_maximum(np.where(was_closed, 0.0, λ)))
         release = -known

@@ -19,7 +19,8 @@ __all__ = ["NewtonResult", "NewtonSolver"]
 
 _Reason = PETSc.SNES.ConvergedReason
 
-MAX_CYCLES = 6
+MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
+HOPELESS_AFTER, HOPELESS = 20, 0.1  # as it is when five iterations in a row have relative residuals above this
 
 
 @dataclass
@@ -43,7 +44,7 @@ class NewtonSolver:
     """
 
     def __init__(
-        self, problem: ContactProblem, *, rtol: float = 1e-9, max_iterations: int = 30, prefix: str = "contact_"
+        self, problem: ContactProblem, *, rtol: float = 1e-9, max_iterations: int = 80, prefix: str = "contact_"
     ) -> None:
         self.problem, self.rtol = problem, rtol
         snes = PETSc.SNES().create(problem.comm)
@@ -111,8 +112,9 @@ class NewtonSolver:
             return _Reason.DIVERGED_FNORM_NAN
         if max(ratio) <= 1.0:
             return _Reason.CONVERGED_FNORM_ABS
-        if iteration >= snes.getTolerances()[3]:
-            return _Reason.DIVERGED_MAX_IT
+        recent = [max(norms) * self.rtol for norms in self.result.norms[-5:]]
+        if iteration >= snes.getTolerances()[3] or (iteration >= HOPELESS_AFTER and min(recent) > HOPELESS):
+            return _Reason.DIVERGED_MAX_IT  # a long walk of the contact's edge, one facet at a time, may go on
         return self._watch_pattern(iteration)
 
     def _scales(self) -> list[float]:
@@ -122,7 +124,7 @@ class NewtonSolver:
         scale_U = max([p.force_scale, *forces])
         scales = [max(self.rtol * scale_U, p.force_floor)]
         for pair, force, floor in zip(p.pairs, forces, p.gap_floor, strict=True):
-            scales.append(pair.ε.normal * max(self.rtol * force / pair.stiffness, floor))
+            scales.append(pair.unit * max(self.rtol * force / pair.stiffness, floor))
         return scales
 
     def _watch_pattern(self, iteration: int) -> int | None:

@@ -1,7 +1,7 @@
 """The coupled problem, eq. (3): a UFL bulk residual and contact pairs in PETSc nested vectors and matrices.
 
-Unknowns are [U, Λ₁/ε₁, Λ₂/ε₂, …], one multiplier block per pair, and the multipliers' residual is taken times ε_N: all
-unknowns are lengths, all residuals forces, and the blocks of the Jacobian, the MATNEST of eq. (6), are of one magnitude
+Unknowns are [U, Λ₁/k₁, Λ₂/k₂, …], one multiplier block per pair, and the multipliers' residual is taken times k, the
+pair's default ε: all unknowns are lengths, all residuals forces, and the blocks of the Jacobian, the MATNEST of eq. (6), are of one magnitude
 whatever the units, so that the direct solver needs no scaling of its own. Contact couples nodes
 of ranks that share no ghost: element blocks are inserted with global indices and PETSc ships the rows of other ranks.
 """
@@ -167,8 +167,8 @@ class ContactProblem:
 
     @property
     def _units(self) -> list[float]:
-        """What the unknowns of each block are counted in: metres, and ε_N in Pa/m for multipliers."""
-        return [1.0] + [pair.ε.normal for pair in self.pairs]
+        """What the unknowns of each block are counted in: metres, and Pa/(Pa/m) for multipliers."""
+        return [1.0] + [pair.unit for pair in self.pairs]
 
     def unpack(self, x: PETSc.Vec) -> None:
         """Copy the nested vector into the Functions, ghosts included."""
@@ -183,7 +183,7 @@ class ContactProblem:
         x.assemble()
 
     def assemble_residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        """The left-hand side of eq. (3) at x: forces, and ε_N times the multipliers' residual (N)."""
+        """The left-hand side of eq. (3) at x: forces, and k times the multipliers' residual (N)."""
         self.unpack(x)
         parts = f.getNestSubVecs()
         with self.stopwatch("bulk"):
@@ -200,11 +200,11 @@ class ContactProblem:
             pair.evaluate(self.u)
             with self.stopwatch("contact"):
                 part.set(0.0)
-                _insert_vector(part, *pair.multiplier_residual(), pair.ε.normal)
+                _insert_vector(part, *pair.multiplier_residual(), pair.unit)
                 part.assemble()
                 pair.switch(part)
                 part.set(0.0)  # and stays so at redundant nodes, whose value is 0 and whose row is diagonal
-                _insert_vector(part, *pair.multiplier_residual(), pair.ε.normal)
+                _insert_vector(part, *pair.multiplier_residual(), pair.unit)
                 part.assemble()
                 for blocks, values in pair.body_residual():
                     _insert_vector(parts[0], blocks, values)
@@ -229,7 +229,7 @@ class ContactProblem:
                     if block is not None:
                         block.zeroEntries()
             for k, pair in enumerate(self.pairs, start=1):
-                element, unit = pair.tangent(), pair.ε.normal
+                element, unit = pair.tangent(), pair.unit
                 _insert(self.blocks[0][0], *element.UU)
                 _insert(self.blocks[0][k], *element.UΛ, unit)
                 _insert(self.blocks[k][0], *element.ΛU, unit)

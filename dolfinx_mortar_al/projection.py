@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MAX_ITERATIONS = 30
-TOLERANCE = 1e-14  # on the step in η: the map converges quadratically, the last step is round-off
+TOLERANCE = 1e-9  # on the step in η: Newton squares the error, what is left after such a step is round-off
 
 
 @dataclass
@@ -187,54 +187,81 @@ def project(
     pair = np.zeros(candidates.shape, dtype=np.int64)
     pair[row, column] = np.arange(len(row))
     best = pair[point, chosen]
-    sign_normal = _meeting_normals(target, positions, facet, η, row, distance, distance[best])
-    return _at(target, positions, x, TargetPoint(facet[best], η[best]), sign_normal)
+    at, on_side = _at(target, positions, x, TargetPoint(facet[best], η[best]))
+    if on_side.size:
+        tie = np.flatnonzero(distance <= distance[best][row] + 1e-9 * target.size_of_facets)
+        tie = tie[np.isin(row[tie], on_side)]
+        _turn_to_point(at, x, on_side, _meeting_normals(target, positions, facet[tie], η[tie], row[tie], len(x)))
+    _finish(target, positions, at)
+    return at
+
+
+def _at(target: GatheredFacets, positions: Array, x: Array, point: TargetPoint) -> tuple[Projection, Index]:
+    """Geometry of the target at known closest points, with the facet's own normal, and the points that lie on a side."""
+    shape, n = target.shape, len(x)
+    N, dN = shape.tabulate(point.η, 1)
+    nodes = positions[target.facets[point.facet]]
+    y, a = _combine(N, nodes), dN @ nodes
+    ν = surface_normal(a) * target.orientation[point.facet, None]
+    ν /= np.linalg.norm(ν, axis=1, keepdims=True)
+    r = x - y
+    A_inv = _inverse(a @ np.swapaxes(a, 1, 2))
+    free = np.broadcast_to(np.eye(shape.dim), (n, shape.dim, shape.dim))
+    inside, facing = np.ones(n, dtype=bool), np.ones(n, dtype=bool)
+    at = Projection(point, facing, N, dN, y, a, ν, -_dot(ν, r), A_inv, free, A_inv, inside)
+    # a point on the surface has no direction to its closest point: the facet's own normal is as good as any
+    near_side = np.flatnonzero(
+        (np.linalg.norm(r, axis=1) > 1e-10 * target.size_of_facets)
+        & ((point.η.min(axis=1) < 1e-13) | (_upper_slack(shape, point.η).min(axis=1) < 1e-13))
+    )
+    if not near_side.size:
+        return at, near_side
+    at.Ā_inv = free.copy()
+    at.Ā_inv[near_side], at_end = _free_directions(target, point, a, r, near_side)
+    on_side = near_side[at.Ā_inv[near_side].trace(axis1=1, axis2=2) < shape.dim - 0.5]
+    facing[near_side] = ~at_end
+    inside[on_side] = False
+    return at, on_side
+
+
+def _turn_to_point(at: Projection, x: Array, on_side: Index, sign_normal: Array) -> None:
+    """On edges and vertices ν is the direction to the point, the sign that of the facets that meet there."""
+    r = x[on_side] - at.y[on_side]
+    sign = np.where(_dot(r, sign_normal[on_side]) < 0, -1.0, 1.0)
+    at.ν[on_side] = sign[:, None] * r / np.linalg.norm(r, axis=1, keepdims=True)
+    at.g[on_side] = -_dot(at.ν[on_side], r)
+
+
+def _finish(target: GatheredFacets, positions: Array, at: Projection) -> None:
+    """Curvature, and the inverse of Ā = A + g κ on the free directions (which `at.Ā_inv` holds until now)."""
+    shape, n, free = target.shape, len(at.g), at.Ā_inv
+    at.κ = np.zeros((n, shape.dim, shape.dim))
+    if not shape.flat:
+        nodes = positions[target.facets[at.point.facet]]
+        second = shape.tabulate(at.point.η, 2)[2]
+        at.κ = np.einsum("nabk,nk->nab", second, (nodes @ at.ν[:, :, None])[:, :, 0])
+    Ā = at.a @ np.swapaxes(at.a, 1, 2) + at.g[:, None, None] * at.κ
+    at.Ā_inv = _inverse(Ā)
+    on_side = np.flatnonzero(~at.inside)
+    if on_side.size:
+        f = free[on_side]
+        at.Ā_inv[on_side] = f @ np.linalg.pinv(f @ Ā[on_side] @ f, hermitian=True) @ f
 
 
 def _meeting_normals(
-    target: GatheredFacets, positions: Array, facet: Index, η: Array, row: Index, distance: Array, closest: Array
+    target: GatheredFacets, positions: Array, facet: Index, η: Array, row: Index, points: int
 ) -> Array:
-    """(n, gdim) sum of the unit normals of all the facets that hold a point's closest point."""
-    tie = np.flatnonzero(distance <= closest[row] + 1e-9 * target.size_of_facets)
-    a = target.shape.tabulate(η[tie], 1)[1] @ positions[target.facets[facet[tie]]]
-    normal = surface_normal(a) * target.orientation[facet[tie], None]
+    """(points, gdim) sum of the unit normals at η of the facets that hold the closest point of point `row`."""
+    a = target.shape.tabulate(η, 1)[1] @ positions[target.facets[facet]]
+    normal = surface_normal(a) * target.orientation[facet, None]
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    total = np.zeros((len(closest), positions.shape[1]))
-    np.add.at(total, row[tie], normal)
+    total = np.zeros((points, positions.shape[1]))
+    np.add.at(total, row, normal)
     return total
 
 
-def _at(target: GatheredFacets, positions: Array, x: Array, point: TargetPoint, sign_normal: Array) -> Projection:
-    """Geometry of the target at known closest points."""
-    shape, n = target.shape, len(x)
-    N, dN, *second = shape.tabulate(point.η, 1 if shape.flat else 2)
-    nodes = positions[target.facets[point.facet]]
-    y, a = _combine(N, nodes), dN @ nodes
-    normal = surface_normal(a) * target.orientation[point.facet, None]
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    r = x - y
-    distance = np.linalg.norm(r, axis=1)
-
-    A = a @ np.swapaxes(a, 1, 2)
-    free, at_end = _free_directions(target, point, a, r)
-    # a point on the surface has no direction to its closest point: the facet's own normal is as good as any
-    inside = (free.sum(axis=(1, 2)) == shape.dim) | (distance < 1e-10 * target.size_of_facets)
-    free[inside] = np.eye(shape.dim)
-    towards = r / np.where(inside, 1.0, distance)[:, None]
-    sign = np.where(np.einsum("ni,ni->n", r, sign_normal) < 0, -1.0, 1.0)
-    ν = np.where(inside[:, None], normal, sign[:, None] * towards)
-    g = -np.einsum("ni,ni->n", ν, r)
-
-    κ = np.zeros((n, shape.dim, shape.dim))
-    if second:
-        κ = np.einsum("nabk,nki,ni->nab", second[0], nodes, ν)
-    Ā = A + g[:, None, None] * κ
-    Ā_inv, A_inv = _inverse(Ā), _inverse(A)
-    on_side = np.flatnonzero(~inside)
-    if on_side.size:
-        restricted = free[on_side] @ Ā[on_side] @ free[on_side]
-        Ā_inv[on_side] = free[on_side] @ np.linalg.pinv(restricted, hermitian=True) @ free[on_side]
-    return Projection(point, inside | ~at_end, N, dN, y, a, ν, g, κ, Ā_inv, A_inv, inside)
+def _dot(a: Array, b: Array) -> Array:
+    return np.einsum("ni,ni->n", a, b)
 
 
 def _inverse(A: Array) -> Array:
@@ -242,27 +269,24 @@ def _inverse(A: Array) -> Array:
     if A.shape[1] == 1:
         return 1.0 / np.where(A == 0.0, 1e-300, A)
     determinant = A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
-    adjoint = np.stack(
-        [np.stack([A[:, 1, 1], -A[:, 0, 1]], axis=1), np.stack([-A[:, 1, 0], A[:, 0, 0]], axis=1)], axis=1
-    )
+    rows = [[A[:, 1, 1], -A[:, 0, 1]], [-A[:, 1, 0], A[:, 0, 0]]]
+    adjoint = np.stack([np.stack(row, axis=1) for row in rows], axis=1)
     return adjoint / np.where(determinant == 0.0, 1e-300, determinant)[:, None, None]
 
 
-def _free_directions(target: GatheredFacets, point: TargetPoint, a: Array, r: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Projector (n, dim, dim) on the directions in which η can move, and (n,) whether η sits on an end of the target.
-
-    A bound counts as reached only where the distance pulls η against it.
-    """
-    shape, η = target.shape, point.η
-    n, dim = η.shape
-    pull = np.einsum("nai,ni->na", a, r) / np.linalg.norm(a, axis=2)
-    pull_tolerance = 1e-12 * target.size_of_facets
-    free = np.repeat(np.eye(dim)[None], n, axis=0)
-    at_end = np.zeros(n, dtype=bool)
-    ends = target.boundary_sides[point.facet]
+def _free_directions(
+    target: GatheredFacets, point: TargetPoint, a: Array, r: Array, which: Index
+) -> tuple[Array, NDArray[np.bool_]]:
+    """For the points `which`: projector (m, dim, dim) on the directions in which η can move, and (m,) whether η sits on
+    an end of the target. A bound counts as reached only where the distance pulls η against it."""
+    shape, η = target.shape, point.η[which]
+    m, dim = η.shape
+    pull = np.einsum("nai,ni->na", a[which], r[which]) / np.linalg.norm(a[which], axis=2)
+    free = np.repeat(np.eye(dim)[None], m, axis=0)
+    at_end = np.zeros(m, dtype=bool)
+    ends = target.boundary_sides[point.facet[which]]
     for k, (outward, origin) in enumerate(_sides_of_reference_facet(shape)):
-        on = (η - origin) @ outward > -1e-13
-        reached = on & (np.einsum("na,a->n", pull, outward) > pull_tolerance)
+        reached = ((η - origin) @ outward > -1e-13) & (pull @ outward > 1e-12 * target.size_of_facets)
         at_end |= reached & ends[:, k]
         direction = np.einsum("nab,b->na", free[reached], outward)
         length = np.linalg.norm(direction, axis=1, keepdims=True)
