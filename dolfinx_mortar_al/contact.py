@@ -32,7 +32,7 @@ Index = NDArray[np.int64]
 
 
 # How Newton's contact decisions are taken, measured on the two beams (docs/newton.md)
-PATIENCE = 5.0  # gaps are trusted to this many times their error
+PATIENCE = 1.0  # gaps are trusted to this many times their error
 DEEPEST = 1.0 - 1e-6  # of the penetrated points only the deepest of each neighbourhood closes
 WEAK = 0.1  # share of the largest pressure below which a first, all-closed guess opens
 SOFTER = 0.1  # ε over the bulk's stiffness at the surface
@@ -247,9 +247,9 @@ class ContactPair:
         """Let points open and close, as far as the gaps are known (``docs/newton.md``).
 
         `residual` is `unit` × the multiplier's residual with the points held open or closed as they were. Divided by the
-        nodes' area it is how well the gap condition is met, the error e of all gaps. A point that was open closes where λ̂_N exceeds
-        `patience`·ε_N e and is the deepest in its neighbourhood; one that was closed opens where λ̂_N is as far below zero.
-        As Newton converges e vanishes and what remains is eq. (1).
+        nodes' area it is how well the gap condition is met, the error e of all gaps. A point that was open closes where
+        λ̂_N exceeds `patience`·ε_N e and is the deepest in its neighbourhood; one that was closed opens where λ̂_N is as far
+        below zero. As Newton converges e vanishes and what remains is eq. (1).
         """
         error = residual.duplicate()
         error.pointwiseDivide(residual, self._node_area)

@@ -1,8 +1,8 @@
 """The coupled problem, eq. (3): a UFL bulk residual and contact pairs in PETSc nested vectors and matrices.
 
 Unknowns are [U, Λ₁/k₁, Λ₂/k₂, …], one multiplier block per pair, and the multipliers' residual is taken times k, the
-pair's default ε: all unknowns are lengths, all residuals forces, and the blocks of the Jacobian, the MATNEST of eq. (6), are of one magnitude
-whatever the units, so that the direct solver needs no scaling of its own. Contact couples nodes
+pair's default ε: all unknowns are lengths, all residuals forces, and the blocks of the Jacobian, the MATNEST of eq. (6),
+are of one magnitude whatever the units, so that the direct solver needs no scaling of its own. Contact couples nodes
 of ranks that share no ghost: element blocks are inserted with global indices and PETSc ships the rows of other ranks.
 """
 

@@ -189,9 +189,11 @@ def project(
     best = pair[point, chosen]
     at, on_side = _at(target, positions, x, TargetPoint(facet[best], η[best]))
     if on_side.size:
-        tie = np.flatnonzero(distance <= distance[best][row] + 1e-9 * target.size_of_facets)
-        tie = tie[np.isin(row[tie], on_side)]
-        _turn_to_point(at, x, on_side, _meeting_normals(target, positions, facet[tie], η[tie], row[tie], len(x)))
+        meeting = np.flatnonzero(distance <= distance[best][row] + 1e-9 * target.size_of_facets)
+        meeting = meeting[np.isin(row[meeting], on_side)]
+        _turn_to_point(
+            at, x, on_side, _meeting_normals(target, positions, facet[meeting], η[meeting], row[meeting], len(x))
+        )
     _finish(target, positions, at)
     return at
 

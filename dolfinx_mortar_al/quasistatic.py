@@ -144,7 +144,8 @@ class _Past:
         self.problem.restore(self.states[-1])
 
     def predict(self, load: float) -> None:
-        """Displacement and multipliers extrapolated to `load`, and linearly the λ̂_N that says which points are closed."""
+        """Displacement and multipliers extrapolated to `load`; and λ̂_N, which says what points to expect closed, linearly
+        and half the way only: too much closed costs more iterations than too little (docs/newton.md)."""
         self.restore()
         if len(self.states) < 2:
             return
@@ -155,7 +156,7 @@ class _Past:
             values = sum(w * s.multipliers[k] for w, s in zip(weights, used, strict=True))
             pair.multiplier.field.x.array[:] = values
         if len(self.states) > 2:  # the start state's contact is a guess
-            used, weights = self._weights(load, 1)
+            used, weights = self._weights((load + self.loads[-1]) / 2, 1)
             for k, pair in enumerate(problem.pairs):
                 λN_hat = sum(w * s.pressures[k] for w, s in zip(weights, used, strict=True))
                 pair.restore(self.states[-1].history[k], np.asarray(λN_hat))
