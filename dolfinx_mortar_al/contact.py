@@ -35,6 +35,7 @@ Index = NDArray[np.int64]
 PATIENCE = 1.0  # gaps are trusted to this many times their error
 DEEPEST = 1.0 - 1e-6  # of the penetrated points only the deepest of each neighbourhood closes
 WEAK = 0.1  # share of the largest pressure below which a first, all-closed guess opens
+CHANGES = 3  # of its target facet after which a point stays on the last one for the rest of a solve
 SOFTER = 0.1  # ε over the bulk's stiffness at the surface
 
 
@@ -205,7 +206,8 @@ class ContactPair:
         self._target_nodes = nodes
         self.commit()
         self.closed: NDArray[np.bool_] = self.at.facing & (self.at.g >= -self._touch)
-        self.fresh, self.patience = True, PATIENCE
+        self.fresh = True
+        self.begin()
         self.evaluate(u)
         X = self.facets.X + u.x.array.reshape(-1, self.gdim)[self.facets.dofs]
         normal = self._contactor_normal(X).reshape(-1, self.gdim)
@@ -221,6 +223,12 @@ class ContactPair:
 
     # ---------------------------------------------------------------- state
 
+    def begin(self) -> None:
+        """A new solve: points may choose their target facets again, and gaps are trusted as at first."""
+        self.patience = PATIENCE
+        self._changes = np.zeros(len(self.facet_of_point), dtype=np.int64)
+        self._held = self._changes > 0
+
     def positions(self, u: fem.Function) -> tuple[Array, Array]:
         """Contactor points (n, gdim) and target nodes (·, gdim) where `u` has moved them; u's ghosts are up to date."""
         X = self.facets.X + u.x.array.reshape(-1, self.gdim)[self.facets.dofs]
@@ -234,7 +242,10 @@ class ContactPair:
             self._target_nodes = nodes
             near = self.search(x, nodes)
         with self.stopwatch("projection"):
-            self.at = project(self.target, nodes, x, near, self.at.point)
+            before = self.at.point.facet
+            self.at = project(self.target, nodes, x, near, self.at.point, self._held)
+            self._changes += self.at.point.facet != before
+            self._held = self._changes >= CHANGES
         with self.stopwatch("contact"):
             self.Λ = np.einsum("nai,nai->ni", self.NΛ, self.multiplier.own_nodal()[self.facet_of_point])
             self.s = self.slip() if self.contact.friction else None

@@ -12,7 +12,6 @@ from time import perf_counter
 import numpy as np
 from petsc4py import PETSc
 
-from dolfinx_mortar_al.contact import PATIENCE
 from dolfinx_mortar_al.problem import ContactProblem
 
 __all__ = ["NewtonResult", "NewtonSolver"]
@@ -76,7 +75,7 @@ class NewtonSolver:
         self._patterns: list[int] = []
         self._cycles, self._damping = 0, 1.0
         for pair in p.pairs:
-            pair.patience = PATIENCE
+            pair.begin()
         self._linear_start = perf_counter()
         p.pack(p.x)
         with p.stopwatch("newton"):

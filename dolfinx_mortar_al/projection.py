@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MAX_ITERATIONS = 30
+BEYOND = 0.2  # how far a facet that a point is held to goes on past its sides, in its reference coordinates
 TOLERANCE = 1e-9  # on the step in η: Newton squares the error, what is left after such a step is round-off
 
 
@@ -72,18 +73,27 @@ class Projection:
         return Projection(point, *rest)
 
 
-def closest_in_facet(shape: ShapeFunctions, nodes: Array, x: Array, η: Array | None = None) -> Array:
-    """η (n, dim) of the point of facet `nodes` (n, nodes, gdim) closest to 𝐱 (n, gdim), searched from `η`."""
+def closest_in_facet(
+    shape: ShapeFunctions, nodes: Array, x: Array, η: Array | None = None, beyond: NDArray[np.bool_] | None = None
+) -> Array:
+    """η (n, dim) of the point of facet `nodes` (n, nodes, gdim) closest to 𝐱 (n, gdim), searched from `η`.
+
+    Where `beyond` (n,) is set the facet is taken to go on past its sides, by at most BEYOND in η.
+    """
+    beyond = np.zeros(len(x), dtype=bool) if beyond is None else beyond
     if η is None:
         η = np.repeat(shape.corners.mean(axis=0)[None], len(x), axis=0)
     if shape.dim == 1:
-        return _closest_on_line(shape, nodes, x, η, np.zeros(1), np.ones(1))
-    return _closest_on_patch(shape, nodes, x, η)
+        return _closest_on_line(shape, nodes, x, η, np.zeros(1), np.ones(1), BEYOND * beyond)
+    return _closest_on_patch(shape, nodes, x, η, beyond)
 
 
-def _closest_on_line(shape: ShapeFunctions, nodes: Array, x: Array, η: Array, start: Array, direction: Array) -> Array:
-    """Newton on s ∈ [0, 1] for the curve 𝐲(start + s direction) of each facet; returns η (n, dim)."""
-    s = np.clip((η - start) @ direction / (direction @ direction), 0.0, 1.0)
+def _closest_on_line(
+    shape: ShapeFunctions, nodes: Array, x: Array, η: Array, start: Array, direction: Array, slack: Array | float = 0.0
+) -> Array:
+    """Newton on s ∈ [−slack, 1 + slack] for the curve 𝐲(start + s direction) of each facet; returns η (n, dim)."""
+    slack = np.broadcast_to(slack, len(x))
+    s = np.clip((η - start) @ direction / (direction @ direction), -slack, 1.0 + slack)
     active = np.arange(len(s))
     for _ in range(MAX_ITERATIONS):
         N, dN, ddN = shape.tabulate(start + s[active, None] * direction, 2)
@@ -94,7 +104,8 @@ def _closest_on_line(shape: ShapeFunctions, nodes: Array, x: Array, η: Array, s
         metric = np.einsum("ni,ni->n", a, a)
         bend = np.einsum("ni,ni->n", r, _combine(np.einsum("nabk,a,b->nk", ddN, direction, direction), Xa))
         # Newton where the distance is convex, Gauss–Newton elsewhere
-        new = np.clip(s[active] + slope / np.maximum(metric - bend, 0.2 * metric), 0.0, 1.0)
+        new = s[active] + slope / np.maximum(metric - bend, 0.2 * metric)
+        new = np.clip(new, -slack[active], 1.0 + slack[active])
         moved = np.abs(new - s[active]) > TOLERANCE
         s[active] = new
         active = active[moved]
@@ -103,7 +114,7 @@ def _closest_on_line(shape: ShapeFunctions, nodes: Array, x: Array, η: Array, s
     return start + s[:, None] * direction
 
 
-def _closest_on_patch(shape: ShapeFunctions, nodes: Array, x: Array, η: Array) -> Array:
+def _closest_on_patch(shape: ShapeFunctions, nodes: Array, x: Array, η: Array, beyond: NDArray[np.bool_]) -> Array:
     """Newton inside each facet; where it leaves the facet, the closest of the points on the facet's edges."""
     η = η.copy()
     active = np.arange(len(η))
@@ -123,7 +134,7 @@ def _closest_on_patch(shape: ShapeFunctions, nodes: Array, x: Array, η: Array) 
         active = active[moved]
         if not active.size:
             break
-    outside = np.flatnonzero((η.min(axis=1) < 0) | (_upper_slack(shape, η).min(axis=1) < 0))
+    outside = np.flatnonzero(~beyond & ((η.min(axis=1) < 0) | (_upper_slack(shape, η).min(axis=1) < 0)))
     if outside.size:
         η[outside] = _closest_on_edges(shape, nodes[outside], x[outside], η[outside])
     return η
@@ -158,6 +169,7 @@ def project(
     x: Array,
     candidates: Index,
     previous: TargetPoint | None = None,
+    held: NDArray[np.bool_] | None = None,
 ) -> Projection:
     """The closest-point map of 𝐱 (n, gdim) onto the target whose nodes are at `positions`.
 
@@ -167,7 +179,14 @@ def project(
         x: (n, gdim) current contactor points (m).
         candidates: (n, k) facets that may hold the closest point, padded with −1.
         previous: an earlier closest point, where the search starts on the same facet.
+        held: (n,) points that stay on their previous facet, continued past its sides.
     """
+    if held is not None and held.any():
+        assert previous is not None
+        candidates = np.where(held[:, None], -1, candidates)
+        candidates[held, 0] = previous.facet[held]
+    else:
+        held = np.zeros(len(x), dtype=bool)
     point, row, column = np.arange(len(x)), *np.nonzero(candidates >= 0)
     facet = candidates[row, column]
     nodes = positions[target.facets[facet]]
@@ -175,7 +194,7 @@ def project(
     if previous is not None:
         same = previous.facet[row] == facet
         η[same] = previous.η[row[same]]
-    η = closest_in_facet(target.shape, nodes, x[row], η)
+    η = closest_in_facet(target.shape, nodes, x[row], η, held[row])
     distance = np.linalg.norm(x[row] - _combine(target.shape.tabulate(η)[0], nodes), axis=1)
 
     table = np.full(candidates.shape, np.inf)
@@ -187,7 +206,7 @@ def project(
     pair = np.zeros(candidates.shape, dtype=np.int64)
     pair[row, column] = np.arange(len(row))
     best = pair[point, chosen]
-    at, on_side = _at(target, positions, x, TargetPoint(facet[best], η[best]))
+    at, on_side = _at(target, positions, x, TargetPoint(facet[best], η[best]), held)
     if on_side.size:
         meeting = np.flatnonzero(distance <= distance[best][row] + 1e-9 * target.size_of_facets)
         meeting = meeting[np.isin(row[meeting], on_side)]
@@ -198,7 +217,9 @@ def project(
     return at
 
 
-def _at(target: GatheredFacets, positions: Array, x: Array, point: TargetPoint) -> tuple[Projection, Index]:
+def _at(
+    target: GatheredFacets, positions: Array, x: Array, point: TargetPoint, held: NDArray[np.bool_]
+) -> tuple[Projection, Index]:
     """Geometry of the target at known closest points, with the facet's own normal, and the points that lie on a side."""
     shape, n = target.shape, len(x)
     N, dN = shape.tabulate(point.η, 1)
@@ -213,7 +234,8 @@ def _at(target: GatheredFacets, positions: Array, x: Array, point: TargetPoint) 
     at = Projection(point, facing, N, dN, y, a, ν, -_dot(ν, r), A_inv, free, A_inv, inside)
     # a point on the surface has no direction to its closest point: the facet's own normal is as good as any
     near_side = np.flatnonzero(
-        (np.linalg.norm(r, axis=1) > 1e-10 * target.size_of_facets)
+        ~held
+        & (np.linalg.norm(r, axis=1) > 1e-10 * target.size_of_facets)
         & ((point.η.min(axis=1) < 1e-13) | (_upper_slack(shape, point.η).min(axis=1) < 1e-13))
     )
     if not near_side.size:

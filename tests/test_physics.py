@@ -172,3 +172,10 @@ def test_a_rejected_step_restores_everything():
 def test_the_scale_of_epsilon_is_the_stiffness_of_the_bulk():
     problem, _ = beams(order=1)
     assert 0.01 < problem.pairs[0].ε.normal / (E / (1 - NU**2) / 0.025) < 10
+
+
+def test_a_point_at_a_kink_of_the_target_does_not_cycle():
+    """Faceted (order 1) beams: ν jumps at every vertex of the target, and many small steps take points across."""
+    problem, P = beams(order=1, friction=0.3, mesh={"along": (12, 15)})
+    steps = solve(problem, P, 20.0, 60)
+    assert sum(s.rejected for s in steps) == 0
