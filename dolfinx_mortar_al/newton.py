@@ -6,6 +6,7 @@ Options reach SNES, KSP and PC from the command line under the solver's prefix (
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from time import perf_counter
 
@@ -30,6 +31,16 @@ class NewtonResult:
     iterations: int = 0
     message: str = ""
     norms: list[list[float]] = field(default_factory=list)
+
+
+def _read_command_line(prefix: str) -> None:
+    """Hand PETSc this prefix's options from the command line: DOLFINx starts PETSc without it."""
+    mine = []
+    for word, following in zip(sys.argv[1:], [*sys.argv[2:], "-"], strict=True):
+        if word.startswith(f"-{prefix}"):
+            is_value = not following.startswith("-") or following.lstrip("-")[:1].isdigit()
+            mine += [word, following] if is_value else [word]
+    PETSc.Options().insertString(" ".join(mine))
 
 
 class NewtonSolver:
@@ -61,6 +72,7 @@ class NewtonSolver:
         # MUMPS: the blocks are scaled already (8: 0); minimum fill is the quickest analysis of plane problems (7: 2).
         defaults = {"snes_linesearch_type": "basic", "mat_mumps_icntl_8": 0}
         defaults |= {"mat_mumps_icntl_7": 2} if problem.gdim == 2 else {}
+        _read_command_line(prefix)
         options = PETSc.Options(prefix)
         for name, value in defaults.items():
             if not options.hasName(name):

@@ -89,10 +89,16 @@ def closest_in_facet(
 
 
 def _closest_on_line(
-    shape: ShapeFunctions, nodes: Array, x: Array, η: Array, start: Array, direction: Array, slack: Array | float = 0.0
+    shape: ShapeFunctions,
+    nodes: Array,
+    x: Array,
+    η: Array,
+    start: Array,
+    direction: Array,
+    slack: NDArray[np.floating] | float = 0.0,
 ) -> Array:
     """Newton on s ∈ [−slack, 1 + slack] for the curve 𝐲(start + s direction) of each facet; returns η (n, dim)."""
-    slack = np.broadcast_to(slack, len(x))
+    slack = np.broadcast_to(np.asarray(slack, dtype=np.float64), len(x))
     s = np.clip((η - start) @ direction / (direction @ direction), -slack, 1.0 + slack)
     active = np.arange(len(s))
     for _ in range(MAX_ITERATIONS):

@@ -9,9 +9,9 @@ import pytest
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scenes import beams
+from scenes import beams, tip
 
-from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, materials, quasistatic, read_msh
+from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, materials, output, quasistatic, read_msh
 from meshes.two_beams import LOWER_TOP, UPPER_BOTTOM, TwoBeams
 
 
@@ -150,6 +150,32 @@ def test_a_step_that_cannot_converge_says_where_it_stopped_and_keeps_what_it_had
     assert float(P.value) == 0.0
 
 
+class _GivesUpLater(NewtonSolver):
+    """Fails beyond a load of 2 N."""
+
+    def __init__(self, problem, load):
+        super().__init__(problem)
+        self.load = load
+
+    def solve(self):
+        result = super().solve()
+        result.converged &= float(self.load.value) <= 2.0
+        return result
+
+
+def test_what_had_converged_stays_on_disk(shared_path):
+    problem, P = beams()
+    history = output.History(problem, shared_path, ["load", "tip"])
+    with pytest.raises(quasistatic.StepFailure, match=r"the steps up to load 2 are converged"):
+        for step in quasistatic.march(problem, P, to=4.0, increments=4, solver=_GivesUpLater(problem, P), smallest=0.2):
+            history.add(load=step.load, tip=tip(problem)[1])
+    MPI.COMM_WORLD.Barrier()
+    on_disk = np.genfromtxt(shared_path / "history.csv", delimiter=",", names=True)
+    assert on_disk["load"].tolist() == [1.0, 2.0]
+    assert on_disk["tip"].tolist() == history.column("tip").tolist()
+    assert tip(problem)[1] == on_disk["tip"][-1]  # and the problem is back in the state it had then
+
+
 @pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own ranks")
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_a_script_ends_with_the_message_and_a_non_zero_status(ranks):
@@ -159,3 +185,9 @@ def test_a_script_ends_with_the_message_and_a_non_zero_status(ranks):
     run = subprocess.run(launched, capture_output=True, text=True, timeout=120)
     assert run.returncode != 0
     assert "friction = -1.0: Coulomb's coefficient must be a number" in run.stderr
+
+
+def test_petsc_options_come_from_the_command_line(monkeypatch):
+    problem, _ = beams()
+    monkeypatch.setattr(sys, "argv", ["script", "--load", "2", "-mine_snes_max_it", "7", "-mine_snes_stol", "-1"])
+    assert NewtonSolver(problem, prefix="mine_").snes.getTolerances()[3] == 7
