@@ -114,9 +114,12 @@ def draw(results: dict[float, tuple], directory: Path) -> None:
         if cells is not None:
             axis.add_collection(PolyCollection(cells, facecolor="0.85", edgecolor="0.4", linewidth=0.3))
         closed = contact.pressure > 0
-        axis.quiver(*contact.x[closed, :2].T, *contact.traction[closed, :2].T, color="tab:red", width=4e-3)
-        axis.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", xlim=(-0.05, 1.1))
-        axis.autoscale(axis="y")
+        size = np.linalg.norm(contact.traction[closed], axis=1, keepdims=True)
+        arrows = 0.15 * contact.traction[closed] / np.sqrt(size * size.max(initial=0.0))  # lengths as √|t|
+        axis.quiver(*contact.x[closed, :2].T, *arrows[:, :2].T, color="tab:red", width=3e-3, scale=1, scale_units="xy")
+        axis.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+        axis.update_datalim(contact.x[closed, :2] + arrows[:, :2])
+        axis.autoscale()
         peak = contact.pressure.max(initial=0.0)
         axis.set_title(
             f"({letter}) μ = {friction:g}, P = {history.column('load')[-1]:g} N, p ≤ {peak:.3g} Pa", fontsize=10

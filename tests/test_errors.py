@@ -188,6 +188,9 @@ def test_a_script_ends_with_the_message_and_a_non_zero_status(ranks):
 
 
 def test_petsc_options_come_from_the_command_line(monkeypatch):
-    problem, _ = beams()
-    monkeypatch.setattr(sys, "argv", ["script", "--load", "2", "-mine_snes_max_it", "7", "-mine_snes_stol", "-1"])
-    assert NewtonSolver(problem, prefix="mine_").snes.getTolerances()[3] == 7
+    problem, P = beams()
+    P.value = 0.1
+    monkeypatch.setattr(sys, "argv", ["script", "--load", "2", "-mine_snes_max_it", "17", "-mine_snes_stol", "-1"])
+    solver = NewtonSolver(problem, prefix="mine_")
+    assert solver.snes.getTolerances()[3] == 17
+    assert solver.solve().converged
