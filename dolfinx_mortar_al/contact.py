@@ -34,7 +34,7 @@ Index = NDArray[np.int64]
 # How Newton's contact decisions are taken, measured on the two beams (docs/newton.md)
 PATIENCE = 1.0  # gaps are trusted to this many times their error
 DEEPEST = 1.0 - 1e-6  # of the penetrated points only the deepest of each neighbourhood closes
-WEAK = 0.1  # share of the largest pressure below which a first, all-closed guess opens
+WEAK = 0.1  # share of the largest pressure below which points of a first, all-closed guess open
 CHANGES = 3  # of its target facet after which a point stays on the last one for the rest of a solve
 SOFTER = 0.1  # ε over the bulk's stiffness at the surface
 
@@ -206,7 +206,7 @@ class ContactPair:
         self._target_nodes = nodes
         self.commit()
         self.closed: NDArray[np.bool_] = self.at.facing & (self.at.g >= -self._touch)
-        self.fresh = True
+        self.fresh = True  # until a step has converged
         self.begin()
         self.evaluate(u)
         X = self.facets.X + u.x.array.reshape(-1, self.gdim)[self.facets.dofs]
@@ -225,7 +225,7 @@ class ContactPair:
 
     def begin(self) -> None:
         """A new solve: points may choose their target facets again, and gaps are trusted as at first."""
-        self.patience = PATIENCE
+        self.patience, self._guess = PATIENCE, self.fresh
         self._changes = np.zeros(len(self.facet_of_point), dtype=np.int64)
         self._held = self._changes > 0
 
@@ -269,10 +269,10 @@ class ContactPair:
         λ, was_closed = self.state.λN_hat, self.closed
         close = np.maximum(known, DEEPEST * self._neighbourhood_maximum(np.where(was_closed, 0.0, λ)))
         release = -known
-        if self.fresh:  # no history: what presses weakly in an all-closed start may open at once
-            pressure = self.space.mesh.comm.allreduce(float(λ[was_closed].max(initial=0.0)), MPI.MAX)
-            if known < WEAK**2 * pressure:
-                release, self.fresh = WEAK * pressure, False
+        if self._guess:  # no history: what presses weakly in an all-closed start may open at once
+            weak = WEAK * self.space.mesh.comm.allreduce(float(λ[was_closed].max(initial=0.0)), MPI.MAX)
+            if known < 0.1 * weak:
+                release, self._guess = weak, False
         self._apply_law(np.where(was_closed, release, close))
         self.closed = self.state.status != OPEN
 
