@@ -193,7 +193,9 @@ class ContactPair:
         self.ε = Augmentation(εN, εT)
         # the residual of an open point, ν λ_N/ε_N − λ_T/ε_T, turns with ν unless ε_N = ε_T
         self._same_ε = εN == εT or not c.friction
-        self.law: Frictionless | Coulomb = Coulomb(self.ε, c.friction) if c.friction else Frictionless(self.ε)
+        self.law: Frictionless | Coulomb = Frictionless(self.ε)
+        if c.friction:
+            self.law = Coulomb(self.ε, c.friction, noise=εT * self._touch)
 
     def start(self, u: fem.Function) -> None:
         """Project for the first time; slip is counted from the state `u`. Points that touch count as closed.

@@ -113,10 +113,11 @@ class Frictionless:
 
 @dataclass(frozen=True)
 class Coulomb:
-    """Eq. (1) with Coulomb's friction, coefficient μ (dimensionless)."""
+    """Eq. (1) with Coulomb's friction, coefficient μ (dimensionless); a λ̂_T below `noise` (Pa) sticks."""
 
     ε: Augmentation
     μ: float
+    noise: float = 0.0
 
     def evaluate(self, Λ: Array, at: Projection, s: Array | None, threshold: Array) -> LawState:
         """The law at multipliers Λ (n, gdim), closest points `at` and slips s (n, gdim); `threshold` as above."""
@@ -129,7 +130,7 @@ class Coulomb:
         λT_hat = augmented_tangential(Λ, s, ν, self.ε)
         size = np.linalg.norm(λT_hat, axis=1)
         bound = self.μ * np.maximum(p, 0.0)
-        stick = size <= bound  # also where λ̂_T = 0: there the bracket of eq. (1) is 0
+        stick = size <= bound + self.noise  # also where λ̂_T = 0: there the bracket of eq. (1) is 0
         f = λT_hat * np.where(stick, 1.0, bound / np.where(stick, 1.0, size))[:, None]
         f[~closed] = 0.0
         status = np.where(closed, np.where(stick, STICK, SLIP), OPEN).astype(np.int8)

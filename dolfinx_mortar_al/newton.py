@@ -36,7 +36,7 @@ class NewtonResult:
 def _read_command_line(prefix: str) -> None:
     """Hand PETSc this prefix's options from the command line: DOLFINx starts PETSc without it."""
     mine = []
-    for word, following in zip(sys.argv[1:], [*sys.argv[2:], "-"], strict=True):
+    for word, following in zip(sys.argv[1:], [*sys.argv[2:], "-"], strict=False):
         if word.startswith(f"-{prefix}"):
             is_value = not following.startswith("-") or following.lstrip("-")[:1].isdigit()
             mine += [word, following] if is_value else [word]

@@ -194,3 +194,5 @@ def test_petsc_options_come_from_the_command_line(monkeypatch):
     solver = NewtonSolver(problem, prefix="mine_")
     assert solver.snes.getTolerances()[3] == 17
     assert solver.solve().converged
+    monkeypatch.setattr(sys, "argv", ["script"])
+    assert NewtonSolver(problem, prefix="other_").snes.getTolerances()[3] == 80

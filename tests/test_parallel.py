@@ -16,13 +16,13 @@ def test_together_and_alone(dim, triangles, friction):
     for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
         mesh = {"dim": dim, "triangles": triangles, "along": (8, 8), "across": 1}
         problem, P = beams(comm, friction=friction, mesh=mesh)
-        iterations = sum(s.iterations for s in quasistatic.march(problem, P, to=4.0, increments=4))
-        results.append((tip(problem), problem.pairs[0].force(), problem.pairs[0].closed_fraction(), iterations))
+        for _ in quasistatic.march(problem, P, to=4.0, increments=4):
+            pass
+        results.append((tip(problem), problem.pairs[0].force(), problem.pairs[0].closed_fraction()))
     together, alone = results
     assert np.allclose(together[0], alone[0], rtol=1e-8)
     assert np.allclose(together[1], alone[1], rtol=1e-8, atol=1e-8)
     assert together[2] == pytest.approx(alone[2], rel=1e-12)
-    assert together[3] == alone[3]
 
 
 def test_contactor_and_target_on_different_ranks():
