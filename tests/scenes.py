@@ -3,7 +3,7 @@
 import numpy as np
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import locate_entities_boundary
+from dolfinx.mesh import compute_midpoints, locate_entities_boundary, meshtags
 from mpi4py import MPI
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials
@@ -18,8 +18,11 @@ def contact_of(mesh, tags, *, friction=0.0, swap=False, **options):
     return Contact(contactor, target, friction=friction, **options)
 
 
-def beams(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, young=E, swap=False, unit=1.0, mesh=None, **options):
-    """The two beams of section 4.1, coarse: (problem, force P in N). `unit` is the length unit per metre."""
+def beams(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, young=E, swap=False, unit=1.0, mesh=None, parts=1, **options):
+    """The two beams of section 4.1, coarse: (problem, force P in N).
+
+    `unit` is the length unit per metre; `parts` cuts the contactor into as many pairs along its length.
+    """
     shape = {"along": (10, 10), "across": 2} | (mesh or {})
     for name in ("gap",):
         shape[name] = shape.get(name, 0.0) * unit
@@ -34,8 +37,16 @@ def beams(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, young=E, swap=False, un
     F -= loads.follower_force(u, P * thickness / (built.height * built.width), ds(TIP))
     V = u.function_space
     bcs = [fem.dirichletbc(np.zeros(d), fem.locate_dofs_topological(V, d - 1, tags.find(CLAMP)), V)]
-    contact = contact_of(domain, tags, friction=friction, swap=swap, thickness=thickness, **options)
-    return ContactProblem(F, u, bcs=bcs, contacts=[contact]), P
+    options |= {"friction": friction, "thickness": thickness}
+    if parts == 1:
+        contacts = [contact_of(domain, tags, swap=swap, **options)]
+    else:
+        facets = tags.find(UPPER_BOTTOM)
+        part = (compute_midpoints(domain, d - 1, facets)[:, 0] / unit * parts).astype(np.int32)
+        cut = meshtags(domain, d - 1, facets, part)
+        target = Surface(domain, tags, LOWER_TOP)
+        contacts = [Contact(Surface(domain, cut, k), target, name=f"part {k}", **options) for k in range(parts)]
+    return ContactProblem(F, u, bcs=bcs, contacts=contacts), P
 
 
 def blocks(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, pressure=0.0, dim=2, triangles=False, cells=4, height=0.5):

@@ -179,3 +179,17 @@ def test_a_point_at_a_kink_of_the_target_does_not_cycle():
     problem, P = beams(order=1, friction=0.3, mesh={"along": (12, 15)})
     steps = solve(problem, P, 20.0, 60)
     assert sum(s.rejected for s in steps) == 0
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_several_pairs_at_once(friction):
+    """The interface cut into two contactors that share a target: what one pair gives, up to the cut's own node."""
+    whole, P = beams(mesh={"along": (20, 20)}, friction=friction)
+    solve(whole, P, 5.0, 2)
+    cut, Q = beams(mesh={"along": (20, 20)}, friction=friction, parts=2)
+    solve(cut, Q, 5.0, 2)
+    assert [pair.name for pair in cut.pairs] == ["part 0", "part 1"]
+    assert np.allclose(tip(cut), tip(whole), rtol=1e-3)
+    force = sum(pair.force() for pair in cut.pairs)
+    assert np.allclose(force, whole.pairs[0].force(), rtol=2e-2)
+    assert sum(pair.area for pair in cut.pairs) == pytest.approx(whole.pairs[0].area, rel=1e-12)
