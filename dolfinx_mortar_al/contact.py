@@ -49,7 +49,7 @@ class Contact:
         friction: Coulomb's coefficient μ ≥ 0; 0 builds the problem with a scalar multiplier and no slip history.
         epsilon_normal, epsilon_tangential: augmentation parameters ε_N, ε_T (Pa/m). By default both come from the bulk
             stiffness at the surfaces; the answer depends on them only where a facet is partly closed.
-        quadrature_degree: of the contactor's Gauss points, default 2 × order + 1.
+        quadrature_degree: of the contactor's Gauss points, default 2 × order + 1, at least 2 × order.
         thickness: out of the plane (m), for two-dimensional bodies; the same as in the bulk's forms.
         name: for messages and output.
 
@@ -149,6 +149,11 @@ class ContactPair:
     def _quadrature(self) -> None:
         shape = self.facets.shape
         degree = self.contact.quadrature_degree
+        if degree is not None and degree < 2 * shape.order:
+            raise ValueError(
+                f"{self.name}: quadrature_degree = {degree} has too few points to determine multipliers of order "
+                f"{shape.order}; take at least {2 * shape.order}"
+            )
         points, weights = shape.quadrature(2 * shape.order + 1 if degree is None else degree)
         self.N, self._dN = shape.tabulate(points, 1)  # (nq, nodes), (nq, dim, nodes)
         area = np.linalg.norm(self._contactor_normal(self.facets.X), axis=2)

@@ -70,6 +70,11 @@ def test_parameters_must_be_positive(domain, name, value):
         pair(domain, **{name: value})
 
 
+def test_too_few_gauss_points(domain):
+    with pytest.raises(ValueError, match="quadrature_degree = 1 has too few points"):
+        problem_on(domain, pair(domain, quadrature_degree=1))
+
+
 def test_a_target_that_faces_away(domain):
     """The far side of the lower beam: its outward normal points away from the contactor."""
     built = domain[0]
@@ -195,4 +200,7 @@ def test_petsc_options_come_from_the_command_line(monkeypatch):
     assert solver.snes.getTolerances()[3] == 17
     assert solver.solve().converged
     monkeypatch.setattr(sys, "argv", ["script"])
-    assert NewtonSolver(problem, prefix="other_").snes.getTolerances()[3] == 80
+    P.value = 0.2
+    solver = NewtonSolver(problem, prefix="other_")
+    assert solver.snes.getTolerances()[3] == 80
+    assert solver.solve().converged
