@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from time import perf_counter
@@ -17,6 +18,7 @@ from dolfinx_mortar_al.problem import ContactProblem, State
 __all__ = ["Step", "StepFailure", "march"]
 
 MAX_ORDER = 4  # of the predictor's polynomial
+MAX_ORDER_WITH_FRICTION = 1  # slip makes a history of kinks: measured, docs/newton.md
 EASY = 8  # Newton iterations up to which an increment that was cut may grow again
 
 
@@ -129,6 +131,8 @@ class _Past:
 
     def __init__(self, problem: ContactProblem) -> None:
         self.problem = problem
+        friction = any(pair.contact.friction for pair in problem.pairs)
+        self.max_order = MAX_ORDER_WITH_FRICTION if friction else MAX_ORDER
         self.loads: list[float] = []
         self.states: list[State] = []
         self.order = 1
@@ -137,7 +141,10 @@ class _Past:
         """A state has converged; choose the polynomial order that would have predicted it best."""
         state = self.problem.state()
         self.order = self._best_order(load, state.u)
-        self.loads, self.states = [*self.loads, load][-MAX_ORDER - 1 :], [*self.states, state][-MAX_ORDER - 1 :]
+        self.loads, self.states = (
+            [*self.loads, load][-self.max_order - 1 :],
+            [*self.states, state][-self.max_order - 1 :],
+        )
 
     def restore(self) -> None:
         """Undo: back to the last converged state."""
@@ -174,7 +181,7 @@ class _Past:
             used, weights = self._weights(load, order)
             miss = u - sum(w * s.u for w, s in zip(weights, used, strict=True))
             errors.append(self.problem.comm.allreduce(float(miss @ miss), MPI.SUM))
-        return min(MAX_ORDER, 1 + int(np.argmin(errors))) if errors else 1
+        return min(self.max_order, 1 + int(np.argmin(errors))) if errors else 1
 
 
 class _Bar:
@@ -199,4 +206,4 @@ class _Bar:
 
     def rejected(self, load: float, why: str) -> None:
         if self.problem.comm.rank == 0:
-            self.bar.write(f"load {load:.6g} rejected: {why}")
+            self.bar.write(f"load {load:.6g} rejected: {why}", file=sys.stderr)
