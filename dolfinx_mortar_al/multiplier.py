@@ -7,10 +7,9 @@ from the facet's other nodes (one order lower across the facet), component by co
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from dolfinx import fem, mesh
+from dolfinx.la import InsertMode
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.surface import Facets, ShapeFunctions
@@ -71,7 +70,7 @@ class MultiplierSpace:
         flag = fem.Function(V)
         values = flag.x.array.reshape(-1, self.components)
         np.maximum.at(values, self.dofs, redundant.astype(float))
-        flag.x.scatter_reverse(_add())
+        flag.x.scatter_reverse(InsertMode.add)
         flag.x.scatter_forward()
         flags = flag.x.array.reshape(-1, self.components) > 0
         self.redundant = flags[self.dofs]
@@ -108,12 +107,6 @@ class MultiplierSpace:
         where = np.nonzero(self.redundant)
         values[self.dofs[where[0], where[1]], where[2]] = self.nodal()[where]
         return filled
-
-
-def _add() -> Any:
-    from dolfinx.la import InsertMode
-
-    return InsertMode.add
 
 
 def _match(V: fem.FunctionSpace, facets: Facets, entities: NDArray[np.int32]) -> NDArray[np.int32]:
