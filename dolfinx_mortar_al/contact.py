@@ -17,6 +17,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from dolfinx_mortar_al.bodies import Bodies, Body
 from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.projection import Projection, TargetPoint, project
@@ -97,25 +98,22 @@ class Tangent:
 class ContactPair:
     """A :class:`Contact` on a displacement space: its state at the last evaluation, slip history and outputs."""
 
-    def __init__(
-        self, contact: Contact, V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC], stopwatch: Stopwatch
-    ) -> None:
-        for surface in (contact.contactor, contact.target):
-            if surface.mesh is not V.mesh:
-                raise ValueError(f"{contact.name}: a surface lives on another mesh than the displacement")
-        self.contact, self.space, self.name = contact, V, contact.name
+    def __init__(self, contact: Contact, bodies: Bodies, stopwatch: Stopwatch) -> None:
+        self.contact, self.name = contact, contact.name
         self.stopwatch = stopwatch
-        self.gdim = V.mesh.geometry.dim
-        self.facets = Facets.of(contact.contactor, V)
-        self.target = Facets.of(contact.target, V).gather()
+        self.comm, self.gdim = bodies.comm, bodies.gdim
+        k1, k2 = bodies.index(contact.contactor.mesh), bodies.index(contact.target.mesh)
+        self._body1, self._body2 = bodies.bodies[k1], bodies.bodies[k2]
+        self.facets = Facets.of(contact.contactor, self._body1.space)
+        self.target = Facets.of(contact.target, self._body2.space).gather()
         self.search = CandidateSearch(self.target)
-        blocks = V.dofmap.index_map.local_to_global(self.facets.dofs.ravel())
-        self.contactor_blocks: Index = blocks.reshape(self.facets.dofs.shape)
+        #: (nf, nodes) and (target nodes,) numbers of the two surfaces' nodes among all bodies'
+        self.contactor_blocks: Index = bodies.nodes(k1, self.facets.dofs)
+        self.target_blocks: Index = bodies.common(k2, self.target.blocks)
         self._quadrature()
-        self.prescribed = prescribed_components(V, bcs)
         self._make_scatter()
-        self._contactor_fixed = self.prescribed.x.array.reshape(-1, self.gdim)[self.facets.dofs] > 0
-        self._target_fixed = self._at_target(self.prescribed) > 0
+        self._contactor_fixed = self._at_contactor(prescribed_components(self._body1)) > 0
+        self._target_fixed = self._at_target(prescribed_components(self._body2)) > 0
         self.multiplier = MultiplierSpace(self.facets, self.gdim if contact.friction else 1, self._redundant())
         self.slots = Slots(self.gdim, self.multiplier.components, contact.friction > 0)
         NΛ = np.einsum("qa,fiab->fqbi", self.N, self.multiplier.T)
@@ -139,10 +137,15 @@ class ContactPair:
         """The way of the target's nodal values to every rank."""
         where = PETSc.IS().createBlock(self.gdim, self.target.blocks.astype(np.int32), comm=PETSc.COMM_SELF)
         self._target_vec = PETSc.Vec().createSeq(len(self.target.blocks) * self.gdim)
-        self._scatter = PETSc.Scatter().create(self.prescribed.x.petsc_vec, where, self._target_vec, None)
+        u = self._body2.u
+        self._scatter = PETSc.Scatter().create(u.x.petsc_vec, where, self._target_vec, None)
+
+    def _at_contactor(self, u: fem.Function) -> Array:
+        """(nf, nodes, gdim) values of the contactor's body at its facets' nodes; ghosts are up to date."""
+        return np.asarray(u.x.array.reshape(-1, self.gdim)[self.facets.dofs])
 
     def _at_target(self, u: fem.Function) -> Array:
-        """(target nodes, gdim) values of a displacement field at the target's nodes (collective)."""
+        """(target nodes, gdim) values of the target's body at its nodes (collective)."""
         self._scatter.scatter(u.x.petsc_vec, self._target_vec)
         return self._target_vec.array_r.reshape(-1, self.gdim).copy()
 
@@ -160,7 +163,7 @@ class ContactPair:
         #: (nf, nq) weight × reference area of each Gauss point (m², thickness included)
         self.j: Array = area * weights * self.contact.thickness
         self.facet_of_point: Index = np.repeat(np.arange(self.facets.size), len(weights))
-        self.area = float(self.space.mesh.comm.allreduce(float(self.j.sum())))
+        self.area = float(self.comm.allreduce(float(self.j.sum())))
 
     def _contactor_normal(self, X: Array) -> Array:
         """(nf, nq, gdim) outward normal × area ratio of the contactor with its nodes at X (nf, nodes, gdim)."""
@@ -178,13 +181,16 @@ class ContactPair:
             fixed[facet, node] &= np.einsum("nk,nki->ni", np.abs(at.N), on_target) > 1 - 1e-6
         return fixed if self.contact.friction else fixed.all(axis=2, keepdims=True)
 
-    def surface_stiffness(self, diagonal: fem.Function) -> float:
-        """The softer side's mean nodal stiffness per facet area (Pa/m), from the diagonal (N/m) of the bulk's matrix."""
-        comm, t = self.space.mesh.comm, self.contact.thickness
-        own = diagonal.x.array.reshape(-1, self.gdim)[self.facets.dofs].mean(axis=(1, 2)) / self.j.sum(axis=1)
+    def surface_stiffness(self, diagonals: Sequence[fem.Function]) -> float:
+        """The softer side's mean nodal stiffness per facet area (Pa/m), from the diagonals (N/m) of the bodies' matrices."""
+        comm, t = self.comm, self.contact.thickness
+        first, second = (
+            next(d for d in diagonals if d.function_space is body.space) for body in (self._body1, self._body2)
+        )
+        own = self._at_contactor(first).mean(axis=(1, 2)) / self.j.sum(axis=1)
         count = comm.allreduce(self.facets.size)
         contactor = comm.allreduce(float(own.sum())) / count
-        k = self._at_target(diagonal)[self.target.facets].mean(axis=(1, 2))
+        k = self._at_target(second)[self.target.facets].mean(axis=(1, 2))
         target = float(np.mean(k / (self.target.areas() * t)))
         return min(contactor, target)
 
@@ -202,24 +208,23 @@ class ContactPair:
         if c.friction:
             self.law = Coulomb(self.ε, c.friction, noise=εT * self._touch)
 
-    def start(self, u: fem.Function) -> None:
-        """Project for the first time; slip is counted from the state `u`. Points that touch count as closed.
+    def start(self) -> None:
+        """Project for the first time; slip is counted from the present state. Points that touch count as closed.
 
         Raises:
             ValueError: on every rank, if contactor and target face the same way all over: one is the wrong side.
         """
-        x, nodes = self.positions(u)
+        x, nodes = self.positions()
         self.at = project(self.target, nodes, x, self.search(x, nodes))
         self._target_nodes = nodes
         self.commit()
         self.closed: NDArray[np.bool_] = self.at.facing & (self.at.g >= -self._touch)
         self.fresh = True  # until a step has converged
         self.begin()
-        self.evaluate(u)
-        X = self.facets.X + u.x.array.reshape(-1, self.gdim)[self.facets.dofs]
-        normal = self._contactor_normal(X).reshape(-1, self.gdim)
+        self.evaluate()
+        normal = self._contactor_normal(self.facets.X + self._at_contactor(self._body1.u)).reshape(-1, self.gdim)
         cosine = np.einsum("ni,ni->n", normal, self.at.ν) / np.linalg.norm(normal, axis=1)
-        comm = self.space.mesh.comm
+        comm = self.comm
         facing = comm.allreduce(int(self.at.facing.sum()))
         same_way = comm.allreduce(int((self.at.facing & (cosine > 0.5)).sum()))
         if facing and same_way == facing:
@@ -236,16 +241,16 @@ class ContactPair:
         self._changes = np.zeros(len(self.facet_of_point), dtype=np.int64)
         self._held = self._changes > 0
 
-    def positions(self, u: fem.Function) -> tuple[Array, Array]:
-        """Contactor points (n, gdim) and target nodes (·, gdim) where `u` has moved them; u's ghosts are up to date."""
-        X = self.facets.X + u.x.array.reshape(-1, self.gdim)[self.facets.dofs]
+    def positions(self) -> tuple[Array, Array]:
+        """Contactor points (n, gdim) and target nodes (·, gdim) where the displacements have moved them."""
+        X = self.facets.X + self._at_contactor(self._body1.u)
         x = np.einsum("qa,fai->fqi", self.N, X).reshape(-1, self.gdim)
-        return x, self.target.X + self._at_target(u)
+        return x, self.target.X + self._at_target(self._body2.u)
 
-    def evaluate(self, u: fem.Function) -> None:
-        """Closest points, slip and law at displacement `u` and at the multiplier field; ghosts are up to date."""
+    def evaluate(self) -> None:
+        """Closest points, slip and law at the displacements and the multiplier field; ghosts are up to date."""
         with self.stopwatch("search"):
-            x, nodes = self.positions(u)
+            x, nodes = self.positions()
             self._target_nodes = nodes
             near = self.search(x, nodes)
         with self.stopwatch("projection"):
@@ -277,7 +282,7 @@ class ContactPair:
         close = np.maximum(known, DEEPEST * self._neighbourhood_maximum(np.where(was_closed, 0.0, λ)))
         release = -known
         if self._guess:  # no history: what presses weakly in an all-closed start may open at once
-            weak = WEAK * self.space.mesh.comm.allreduce(float(λ[was_closed].max(initial=0.0)), MPI.MAX)
+            weak = WEAK * self.comm.allreduce(float(λ[was_closed].max(initial=0.0)), MPI.MAX)
             if known < 0.1 * weak:
                 release, self._guess = weak, False
         self._apply_law(np.where(was_closed, release, close))
@@ -332,7 +337,7 @@ class ContactPair:
         nodes = self.target.facets[self.at.point.facet[closed]]
         return [
             (self.contactor_blocks, on_contactor * ~self._contactor_fixed),
-            (self.target.blocks[nodes], on_target * ~self._target_fixed[nodes]),
+            (self.target_blocks[nodes], on_target * ~self._target_fixed[nodes]),
         ]
 
     def tangent(self) -> Tangent:
@@ -368,9 +373,9 @@ class ContactPair:
         ΛΛ = ΛΛ.reshape(nf, nq, *ΛΛ.shape[1:]).sum(axis=1)
 
         runs, target, old = self._runs(facet, at, act)
-        U_rows = np.concatenate([self.contactor_blocks[facet[runs]], self.target.blocks[target]], axis=1)
+        U_rows = np.concatenate([self.contactor_blocks[facet[runs]], self.target_blocks[target]], axis=1)
         fixed = np.concatenate([self._contactor_fixed[facet[runs]], self._target_fixed[target]], axis=1)
-        U_columns = np.concatenate([U_rows, self.target.blocks[old]], axis=1) if self.contact.friction else U_rows
+        U_columns = np.concatenate([U_rows, self.target_blocks[old]], axis=1) if self.contact.friction else U_rows
         Λ_nodes, free = self.multiplier.blocks[facet[runs]], ~fixed[:, :, :, None, None]
         return Tangent(
             (U_rows, U_columns, _add_runs(UU, runs) * free),
@@ -438,9 +443,9 @@ class ContactPair:
     def pattern(self, couples: Index) -> list[tuple[Index, Index, Array]]:
         """Zero element matrices (UU, UΛ, ΛU, ΛΛ) with the global blocks of the given couples."""
         facet, target, old = np.unravel_index(couples, self._couple_shape)
-        bodies = [self.contactor_blocks[facet], self.target.blocks[self.target.facets[target]]]
+        bodies = [self.contactor_blocks[facet], self.target_blocks[self.target.facets[target]]]
         rows = np.concatenate(bodies, axis=1)
-        past = [self.target.blocks[self.target.facets[old]]] if self.contact.friction else []
+        past = [self.target_blocks[self.target.facets[old]]] if self.contact.friction else []
         columns = np.concatenate([rows, *past], axis=1)
         Λ, own, d, m = self.multiplier.blocks[facet], self.multiplier.blocks, self.gdim, self.multiplier.components
         places = [(rows, columns, d, d), (rows, Λ, d, m), (Λ, columns, m, d), (own, own, m, m)]
@@ -450,13 +455,13 @@ class ContactPair:
 
     def force(self) -> Array:
         """(gdim,) resultant of the contact tractions on the contactor (N), collective."""
-        return self.space.mesh.comm.allreduce(np.einsum("n,ni->i", self.j.reshape(-1), self.state.t))
+        return self.comm.allreduce(np.einsum("n,ni->i", self.j.reshape(-1), self.state.t))
 
     def nodal_forces(self) -> float:
         """Norm of the contactor's nodal contact forces ∫ N |t| (N), collective: the scale of both residuals."""
         nf, nq = self.j.shape
         size = (self.j * np.linalg.norm(self.state.t, axis=1).reshape(nf, nq)) @ np.abs(self.N)
-        return float(np.sqrt(self.space.mesh.comm.allreduce(float(np.sum(size**2)))))
+        return float(np.sqrt(self.comm.allreduce(float(np.sum(size**2)))))
 
     def closed_fraction(self) -> float:
         """Closed part of the contactor's reference area, collective."""
@@ -467,7 +472,7 @@ class ContactPair:
         return self._share(self.state.status == STICK)
 
     def _share(self, points: NDArray[np.bool_]) -> float:
-        return float(self.space.mesh.comm.allreduce(float(self.j.reshape(-1)[points].sum()))) / self.area
+        return float(self.comm.allreduce(float(self.j.reshape(-1)[points].sum()))) / self.area
 
     def points(self) -> Array:
         """(n, gdim) reference positions of this rank's Gauss points (m)."""
@@ -484,10 +489,10 @@ def _add_runs(values: Array, starts: Index) -> Array:
     return np.add.reduceat(values, starts, axis=0) if len(starts) else values
 
 
-def prescribed_components(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> fem.Function:
-    """1 at the components of V's nodes that a Dirichlet condition prescribes, 0 elsewhere; ghosts agree."""
-    flag = fem.Function(V)
-    for bc in bcs:
+def prescribed_components(body: Body) -> fem.Function:
+    """1 at the components of a body's nodes that a Dirichlet condition prescribes, 0 elsewhere; ghosts agree."""
+    flag = fem.Function(body.space)
+    for bc in body.bcs:
         dofs, owned = bc.dof_indices()
         flag.x.array[dofs[:owned]] = 1.0
     flag.x.scatter_forward()

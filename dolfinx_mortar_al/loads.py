@@ -12,8 +12,9 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfinx_mortar_al.materials import deformation_gradient
+from dolfinx_mortar_al.membrane import area_vector
 
-__all__ = ["axis_normal", "dead_traction", "follower_force"]
+__all__ = ["axis_normal", "dead_traction", "follower_force", "membrane_pressure", "pressure"]
 
 
 def dead_traction(u: fem.Function, traction: Expr, ds: ufl.Measure) -> Any:
@@ -31,3 +32,21 @@ def axis_normal(u: fem.Function) -> Expr:
 def follower_force(u: fem.Function, traction: Expr, ds: ufl.Measure) -> Any:
     """∫ t 𝐧(u)·v dS₀: a traction t (Pa × thickness) along :func:`axis_normal`, as on the tip of a beam (section 4.1)."""
     return traction * ufl.inner(axis_normal(u), ufl.TestFunction(u.function_space)) * ds
+
+
+def pressure(u: fem.Function, p: Expr, ds: ufl.Measure) -> Any:
+    """−∫ p 𝐧·v da = −∫ p det 𝐅 𝐅⁻ᵀ𝐍·v dS₀: a follower pressure p (Pa × thickness) on facets, against their outward side."""
+    F, N = deformation_gradient(u), ufl.FacetNormal(u.function_space.mesh)
+    return -p * ufl.det(F) * ufl.inner(ufl.inv(F).T * N, ufl.TestFunction(u.function_space)) * ds
+
+
+def membrane_pressure(u: fem.Function, p: Expr, side: Any, dx: ufl.Measure) -> Any:
+    """∫ p 𝐧·v da: a follower pressure p (Pa) that pushes a membrane towards its side `side`.
+
+    Args:
+        u: displacement of the membrane (m).
+        p: pressure (Pa).
+        side: a vector (numbers, or UFL in reference coordinates) that points to where the pressure pushes.
+        dx: measure of the cells under pressure.
+    """
+    return p * ufl.inner(area_vector(u, side), ufl.TestFunction(u.function_space)) * dx

@@ -55,7 +55,7 @@ class MultiplierSpace:
     def __init__(self, facets: Facets, components: int, redundant: Bool) -> None:
         domain = facets.space.mesh
         self.components = components
-        self.submesh, entities = mesh.create_submesh(domain, domain.topology.dim - 1, facets.entities)[:2]
+        self.submesh, entities = mesh.create_submesh(domain, facets.shape.dim, facets.entities)[:2]
         shape = (components,) if components > 1 else ()
         V = fem.functionspace(self.submesh, ("Lagrange", facets.shape.order, shape))
         self.field = fem.Function(V, name="multiplier")

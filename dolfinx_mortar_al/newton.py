@@ -162,8 +162,7 @@ class NewtonSolver:
         with p.stopwatch("guard"):
             xu, yu = x.getNestSubVecs()[0], y.getNestSubVecs()[0]
             for _ in range(12):
-                p.u.x.array[: xu.getLocalSize()] = xu.array_r - length * yu.array_r
-                p.u.x.scatter_forward()
+                p.bodies.set(xu.array_r - length * yu.array_r)
                 if p.inverted_volume() <= 0:
                     break
                 length /= 2

@@ -90,9 +90,12 @@ class ParaView:
 
         directory.mkdir(parents=True, exist_ok=True)
         self.problem = problem
-        problem.u.name = "displacement"
         self._multipliers = [pair.multiplier.complete() for pair in problem.pairs]
-        fields = {"displacement": problem.u} | {
+        bodies = problem.bodies.bodies
+        names = ["displacement"] if len(bodies) == 1 else [f"displacement_{k}" for k in range(len(bodies))]
+        for body in bodies:
+            body.u.name = "displacement"
+        fields = {name: body.u for name, body in zip(names, bodies, strict=True)} | {
             f"multiplier_{pair.name}": field for pair, field in zip(problem.pairs, self._multipliers, strict=True)
         }
         self._writers = [
@@ -167,7 +170,7 @@ class Profile:
 
 def contact_profile(problem: ContactProblem, pair: ContactPair) -> Profile | None:
     """The pair's contact state gathered on rank 0 (else None)."""
-    x, _ = pair.positions(problem.u)
+    x, _ = pair.positions()
     mine = (pair.points(), x, pair.state.p, pair.state.t, -pair.at.g, pair.state.status)
     gathered = problem.comm.gather(mine, root=0)
     if gathered is None:

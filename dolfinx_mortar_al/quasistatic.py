@@ -158,7 +158,7 @@ class _Past:
             return
         used, weights = self._weights(load, self.order)
         problem = self.problem
-        problem.u.x.array[:] = sum(w * s.u for w, s in zip(weights, used, strict=True))
+        problem.bodies.set(sum((w * s.u for w, s in zip(weights, used, strict=True)), np.zeros_like(used[0].u)))
         for k, pair in enumerate(problem.pairs):
             values = sum(w * s.multipliers[k] for w, s in zip(weights, used, strict=True))
             pair.multiplier.field.x.array[:] = values

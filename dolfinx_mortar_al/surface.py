@@ -13,6 +13,7 @@ from typing import Any
 
 import basix
 import numpy as np
+import ufl
 from dolfinx import fem, mesh
 from numpy.typing import NDArray
 
@@ -24,36 +25,62 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Surface:
-    """The facets of `mesh` that carry `tag` in `tags` (mesh tags of the facets' dimension)."""
+    """A contact surface: the facets of a body, or the cells of a membrane, that carry a tag.
+
+    Args:
+        mesh: of the body or membrane.
+        tags: mesh tags of the facets' dimension, or of a membrane's cells.
+        tag: the value that marks the surface.
+        side: for a membrane, the side that touches: a vector (numbers, or UFL in reference coordinates) that points to
+            it everywhere. A body's facets have their outward side and take none.
+    """
 
     mesh: mesh.Mesh
     tags: Any
     tag: int
+    side: Any = None
+
+    @property
+    def is_membrane(self) -> bool:
+        """Whether the surface is made of cells."""
+        return bool(self.mesh.topology.dim == self.mesh.geometry.dim - 1)
 
     def owned_facets(self) -> NDArray[np.int32]:
-        """The surface's facets owned by this rank.
+        """The surface's facets (a membrane's cells) owned by this rank.
 
         Raises:
-            ValueError: on every rank, if the tags are of another dimension, the surface is empty, or a facet of it is
-                not on the boundary.
+            ValueError: on every rank, if the tags are of another dimension, the surface is empty, a facet of it is not
+                on the boundary, or the side is missing (membrane) or too much (body).
         """
-        dim = self.mesh.topology.dim - 1
+        dim, kind = self.mesh.geometry.dim - 1, "cells" if self.is_membrane else "facets"
         if self.tags.dim != dim:
             raise ValueError(
-                f"tags of dimension {self.tags.dim} for a contact surface of a mesh of dimension {dim + 1}: "
-                f"a contact surface is made of facets, pass mesh tags of dimension {dim}"
+                f"tags of dimension {self.tags.dim} for a contact surface in space of dimension {dim + 1}: "
+                f"it is made of {kind}, pass mesh tags of dimension {dim}"
+            )
+        if self.is_membrane == (self.side is None):
+            raise ValueError(
+                f"side = {self.side} of tag {self.tag}: "
+                + (
+                    "name the side of the membrane that touches"
+                    if self.is_membrane
+                    else "facets have their outward side"
+                )
             )
         facets = self.tags.find(self.tag)
         facets = facets[facets < self.mesh.topology.index_map(dim).size_local]
         comm = self.mesh.comm
         if comm.allreduce(len(facets)) == 0:
             known = sorted(set().union(*comm.allgather(set(self.tags.values.tolist()))))
-            raise ValueError(f"tag {self.tag} marks no facet; the tags of this mesh are {known}")
-        self.mesh.topology.create_connectivity(dim, dim + 1)
-        cells = self.mesh.topology.connectivity(dim, dim + 1)
-        inner = int(np.sum(np.diff(cells.offsets)[facets] != 1))
-        if comm.allreduce(inner):
-            raise ValueError(f"tag {self.tag} marks facets between two cells; a contact surface lies on the boundary")
+            raise ValueError(f"tag {self.tag} marks no {kind[:-1]}; the tags of this mesh are {known}")
+        if not self.is_membrane:
+            self.mesh.topology.create_connectivity(dim, dim + 1)
+            cells = self.mesh.topology.connectivity(dim, dim + 1)
+            inner = int(np.sum(np.diff(cells.offsets)[facets] != 1))
+            if comm.allreduce(inner):
+                raise ValueError(
+                    f"tag {self.tag} marks facets between two cells; a contact surface lies on the boundary"
+                )
         return facets
 
 
@@ -136,28 +163,38 @@ class Facets:
 
     @classmethod
     def of(cls, surface: Surface, V: fem.FunctionSpace) -> Facets:
-        """The surface's owned facets seen through V."""
-        domain, d = surface.mesh, surface.mesh.topology.dim
+        """The surface's owned facets seen through V.
+
+        Raises:
+            ValueError: on every rank, as :meth:`Surface.owned_facets`, and if a membrane's side lies in its own plane.
+        """
         entities = surface.owned_facets()
-        cell = domain.basix_cell()
-        shape = ShapeFunctions(basix.cell.subentity_types(cell)[d - 1][0], V.element.basix_element.degree)
+        element = V.element.basix_element
+        cell = surface.mesh.basix_cell()
+        if surface.is_membrane:
+            shape = ShapeFunctions(cell, element.degree)
+            cells, closure = entities, _facet_nodes(element, shape, [list(range(len(basix.geometry(cell))))])
+            local = np.zeros(len(cells), dtype=np.int64)
+        else:
+            facet_vertices = basix.topology(cell)[surface.mesh.topology.dim - 1]
+            shape = ShapeFunctions(basix.cell.subentity_types(cell)[surface.mesh.topology.dim - 1][0], element.degree)
+            closure = _facet_nodes(element, shape, facet_vertices)
+            cells, local = _cells_of(surface.mesh, entities, len(facet_vertices))
 
-        topology = domain.topology
-        topology.create_connectivity(d - 1, d)
-        topology.create_connectivity(d, d - 1)
-        facet_cells = topology.connectivity(d - 1, d)
-        cell_facets = topology.connectivity(d, d - 1).array.reshape(-1, len(basix.topology(cell)[d - 1]))
-        cells = facet_cells.array[facet_cells.offsets[entities]]
-        local = np.argmax(cell_facets[cells] == entities[:, None], axis=1)
-
-        closure = _facet_nodes(V.element.basix_element, shape)  # (facets of a cell, nodes)
         dofs = np.take_along_axis(V.dofmap.list[cells], closure[local], axis=1)
-        x = V.tabulate_dof_coordinates()[:, : domain.geometry.dim]
+        x = V.tabulate_dof_coordinates()[:, : surface.mesh.geometry.dim]
         X = x[dofs]
         tangents = shape.tabulate(shape.corners.mean(axis=0)[None], 1)[1][0] @ X  # at the facet's middle
-        outward = X.mean(axis=1) - x[V.dofmap.list[cells]].mean(axis=1)
-        orientation = np.sign(np.einsum("fi,fi->f", surface_normal(tangents), outward))
-        return cls(V, entities, shape, dofs, X, orientation)
+        if surface.is_membrane:
+            outward = _side_at_middle(surface, cells)
+        else:
+            outward = X.mean(axis=1) - x[V.dofmap.list[cells]].mean(axis=1)
+        normal = surface_normal(tangents)
+        cosine = np.einsum("fi,fi->f", normal, outward)
+        flat = np.abs(cosine) < 1e-6 * np.linalg.norm(normal, axis=1) * np.linalg.norm(outward, axis=1)
+        if surface.mesh.comm.allreduce(int(flat.sum())):
+            raise ValueError(f"side = {surface.side} lies in the plane of the membrane of tag {surface.tag} somewhere")
+        return cls(V, entities, shape, dofs, X, np.sign(cosine))
 
     @property
     def size(self) -> int:
@@ -179,14 +216,41 @@ class Facets:
         )
 
 
-def _facet_nodes(element: Any, shape: ShapeFunctions) -> NDArray[np.int64]:
-    """For each facet of the reference cell, its nodes in the order of the facet's own Lagrange element."""
-    d = element.points.shape[1]
-    geometry, facets = basix.geometry(element.cell_type), basix.topology(element.cell_type)[d - 1]
+def _cells_of(
+    domain: mesh.Mesh, facets: NDArray[np.int32], facets_per_cell: int
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """The cell of each boundary facet, and the facet's local number in it."""
+    topology, d = domain.topology, domain.topology.dim
+    topology.create_connectivity(d - 1, d)
+    topology.create_connectivity(d, d - 1)
+    facet_cells = topology.connectivity(d - 1, d)
+    cell_facets = topology.connectivity(d, d - 1).array.reshape(-1, facets_per_cell)
+    cells = facet_cells.array[facet_cells.offsets[facets]]
+    return cells, np.argmax(cell_facets[cells] == facets[:, None], axis=1)
+
+
+def _side_at_middle(surface: Surface, cells: NDArray[np.int32]) -> Array:
+    """(nf, gdim) the membrane's side at the middle of its cells."""
+    gdim = surface.mesh.geometry.dim
+    if not isinstance(surface.side, ufl.core.expr.Expr):
+        side = np.asarray(surface.side, dtype=np.float64)
+        if side.shape != (gdim,):
+            raise ValueError(f"side = {surface.side}: needs {gdim} components")
+        return np.broadcast_to(side, (len(cells), gdim))
+    middle = basix.geometry(surface.mesh.basix_cell()).mean(axis=0)[None]
+    values = fem.Expression(surface.side, middle, comm=surface.mesh.comm).eval(surface.mesh, cells)
+    return np.asarray(values).reshape(len(cells), gdim)
+
+
+def _facet_nodes(element: Any, shape: ShapeFunctions, facets: list[list[int]]) -> NDArray[np.int64]:
+    """For each facet (its vertices in the reference cell; a membrane's only one is the cell itself), its nodes in the
+    order of the facet's own Lagrange element."""
+    geometry = basix.geometry(element.cell_type)
+    dim = shape.dim
     result = []
-    for facet, nodes in zip(facets, element.entity_closure_dofs[d - 1], strict=True):
+    for facet, nodes in zip(facets, element.entity_closure_dofs[dim], strict=True):
         v = geometry[facet]
-        wanted = v[0] + shape.nodes @ (v[1:d] - v[0])  # facet coordinates → cell coordinates
+        wanted = v[0] + shape.nodes @ (v[1 : dim + 1] - v[0])  # facet coordinates → cell coordinates
         distance = np.linalg.norm(wanted[:, None] - element.points[nodes][None], axis=2)
         result.append(np.array(nodes)[np.argmin(distance, axis=1)])
     return np.array(result)

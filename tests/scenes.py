@@ -7,6 +7,7 @@ from dolfinx.mesh import compute_midpoints, locate_entities_boundary, meshtags
 from mpi4py import MPI
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials
+from dolfinx_mortar_al.contact import prescribed_components
 from meshes.two_beams import CLAMP, LOWER_TOP, TIP, UPPER_BOTTOM, TwoBeams
 
 E, NU = 2e6, 0.3
@@ -73,14 +74,15 @@ def blocks(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, pressure=0.0, dim=2, t
     return ContactProblem(F, u, bcs=bcs, contacts=[contact_of(domain, tags, friction=friction)]), p
 
 
-def set_field(problem, displacement, multiplier=None):
-    """u = displacement(X) with X (n, gdim), zero where prescribed, and Λ = multiplier(X); then evaluate the contact."""
-    V = problem.V
+def set_field(problem, displacement, multiplier=None, clamped=True):
+    """u = displacement(X) with X (n, gdim), zero where prescribed if `clamped`, and Λ = multiplier(X); then evaluate the contact."""
+    V = problem.u.function_space
     d = problem.gdim
     X = V.tabulate_dof_coordinates()[:, :d]
     problem.u.x.array[:] = displacement(X).ravel()
     for pair in problem.pairs:
-        problem.u.x.array[pair.prescribed.x.array > 0] = 0.0
+        if clamped:
+            problem.u.x.array[prescribed_components(problem.bodies.bodies[0]).x.array > 0] = 0.0
         if multiplier is not None:
             Q = pair.multiplier.field
             values = multiplier(Q.function_space.tabulate_dof_coordinates()[:, :d])
@@ -93,7 +95,7 @@ def set_field(problem, displacement, multiplier=None):
 
 def tip(problem, X=(1.0, 0.025)):
     """Displacement of the node nearest to X, on every rank."""
-    x = problem.V.tabulate_dof_coordinates()[:, : problem.gdim]
+    x = problem.u.function_space.tabulate_dof_coordinates()[:, : problem.gdim]
     distance = np.linalg.norm(x[:, : len(X)] - np.asarray(X), axis=1)
     k = int(np.argmin(distance)) if len(x) else 0
     mine = (distance[k], tuple(problem.u.x.array.reshape(-1, problem.gdim)[k])) if len(x) else (np.inf, ())

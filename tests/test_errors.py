@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import basix.ufl
 import numpy as np
 import pytest
 import ufl
@@ -98,19 +99,16 @@ def test_unsuitable_spaces(domain, order, shape, words):
 
 
 def test_a_mesh_of_the_wrong_dimension():
+    """A curve in space is neither a body nor a membrane."""
     comm = MPI.COMM_WORLD
-    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0.0]])
-    cells = np.array([[0, 1, 2]], dtype=np.int64)
-    element = ufl.Mesh(__import__("basix.ufl").ufl.element("Lagrange", "triangle", 1, shape=(3,)))
-    sheet = mesh.create_mesh(
-        comm,
-        cells if comm.rank == 0 else np.empty((0, 3), dtype=np.int64),
-        points if comm.rank == 0 else points[:0],
-        element,
-    )
-    u = fem.Function(fem.functionspace(sheet, ("Lagrange", 1, (3,))))
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 1, 1]])
+    cells = np.array([[0, 1], [1, 2], [2, 3]], dtype=np.int64)
+    element = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(3,)))
+    root = comm.rank == 0
+    wire = mesh.create_mesh(comm, cells[: 3 * root], points[: 4 * root], element)
+    u = fem.Function(fem.functionspace(wire, ("Lagrange", 1, (3,))))
     F = ufl.inner(u, ufl.TestFunction(u.function_space)) * ufl.dx
-    with pytest.raises(ValueError, match="mesh of dimension 2 in space of dimension 3"):
+    with pytest.raises(ValueError, match="mesh of dimension 1 in space of dimension 3"):
         ContactProblem(F, u)
 
 

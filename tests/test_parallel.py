@@ -28,7 +28,7 @@ def test_together_and_alone(dim, triangles, friction):
 def test_contactor_and_target_on_different_ranks():
     """The partition of this mesh does split the interface's two sides when there is more than one rank."""
     problem, _ = beams()
-    mesh, tags = problem.V.mesh, problem.pairs[0].contact.contactor.tags
+    mesh, tags = problem.u.function_space.mesh, problem.pairs[0].contact.contactor.tags
     sides = [len(Surface(mesh, tags, tag).owned_facets()) for tag in (UPPER_BOTTOM, LOWER_TOP)]
     counts = np.array(problem.comm.allgather(sides))
     assert counts.sum(axis=0).tolist() == [10, 10]

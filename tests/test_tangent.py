@@ -44,7 +44,7 @@ def test_directional_derivative(dim, triangles, order, friction, ratio):
     P.value = 1.0
     # an earlier state for the slip to count from, then one with gaps, slips and multipliers of comparable weight
     set_field(problem, lambda X: bend(X) + rough(1e-5, 1)(X))
-    pair.evaluate(problem.u)
+    pair.evaluate()
     pair.commit()
     state = [
         lambda X: bend(X) + rough(3e-4, 2)(X),

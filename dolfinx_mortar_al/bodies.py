@@ -1,0 +1,241 @@
+"""The bodies' displacements as one block of unknowns, and their bulk forms.
+
+A body is a mesh with a displacement: bulk cells, or a membrane of cells of one dimension less. Several bodies of one mesh
+share a displacement; a membrane and a bulk body have one each. Their nodes are numbered rank by rank and, within a rank,
+body by body: one vector and one matrix hold them all, and a contact pair needs not know which bodies it joins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from dolfinx.fem import petsc as dolfinx_petsc
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from dolfinx_mortar_al.materials import deformation_gradient
+from dolfinx_mortar_al.membrane import area_stretch
+from dolfinx_mortar_al.petsc_blocks import Layout
+
+__all__ = ["Bodies", "Body"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_ADD = PETSc.InsertMode.ADD
+COLLAPSED = 1e-6  # area stretch below which a membrane counts as torn down to nothing
+
+
+class Body:
+    """A mesh with its displacement u, bulk residual F(u; v) and Jacobian, and its Dirichlet conditions."""
+
+    def __init__(self, F: Any, u: fem.Function, bcs: Sequence[fem.DirichletBC], jacobian: Any) -> None:
+        self.u, self.space, self.mesh = u, u.function_space, u.function_space.mesh
+        _check_space(self.space)
+        self.bcs = list(bcs)
+        self.F, self.J = fem.form(F), fem.form(ufl.derivative(F, u) if jacobian is None else jacobian)
+        self._inverted = fem.form(self._inversion_indicator())
+        self._residual = dolfinx_petsc.create_vector(self.F)
+
+    @property
+    def owned(self) -> int:
+        """Nodes that this rank owns."""
+        return int(self.space.dofmap.index_map.size_local)
+
+    def _inversion_indicator(self) -> Any:
+        """∫ 1 dΩ over det 𝐅 ≤ 0, or where a membrane's area stretch vanishes; also where either is not a number."""
+        dx = ufl.Measure("dx", self.mesh, metadata={"quadrature_degree": 2 * self.space.element.basix_element.degree})
+        if self.mesh.topology.dim == self.mesh.geometry.dim:
+            sound = ufl.gt(ufl.det(deformation_gradient(self.u)), 0.0)
+        else:
+            sound = ufl.gt(area_stretch(self.u), COLLAPSED)
+        return ufl.conditional(sound, 0.0, 1.0) * dx
+
+    def inverted_volume(self) -> float:
+        """This rank's reference volume (m³, m² in the plane) of inverted cells."""
+        return float(fem.assemble_scalar(self._inverted))
+
+    def residual(self) -> Array:
+        """(owned dofs,) the bulk's residual (N), before Dirichlet rows are set; lifted where u misses its conditions."""
+        b = self._residual
+        with b.localForm() as local:
+            local.set(0.0)
+        dolfinx_petsc.assemble_vector(b, self.F)
+        if self._unmet_bcs():
+            dolfinx_petsc.apply_lifting(b, [self.J], [self.bcs], [self.u.x.petsc_vec], -1.0)
+        b.ghostUpdate(addv=_ADD, mode=PETSc.ScatterMode.REVERSE)
+        return np.asarray(b.array_r)
+
+    def set_bc_rows(self, b: Array) -> None:
+        """Put u − ū on the prescribed rows of `b` (owned dofs,), which the row's unit diagonal then drives to zero."""
+        for bc in self.bcs:
+            # b ← −(ū − u), as dolfinx' own set_bc with α = −1
+            bc.set(b, self.u.x.array[: len(b)], -1.0)
+
+    def _unmet_bcs(self) -> bool:
+        gap = np.zeros(self.owned * self.space.dofmap.index_map_bs)
+        self.set_bc_rows(gap)
+        return bool(self.mesh.comm.allreduce(float(np.abs(gap).max(initial=0.0)), MPI.MAX) > 0)
+
+    def assemble_jacobian(self, A: PETSc.Mat) -> None:
+        dolfinx_petsc.assemble_matrix(A, self.J, bcs=self.bcs)
+
+    def stiffness(self) -> PETSc.Mat:
+        """The Jacobian without Dirichlet conditions, alone."""
+        A = dolfinx_petsc.assemble_matrix(self.J)
+        A.assemble()
+        return A
+
+
+class Bodies:
+    """Several :class:`Body` numbered as one, in blocks of gdim components.
+
+    Args:
+        residuals, displacements: one each per body.
+        bcs: Dirichlet conditions of all bodies.
+        jacobians: one per body, or None for derivatives of the residuals.
+
+    Raises:
+        ValueError: on every rank: a displacement that is not Lagrange of order 1 or 2 with gdim components, a mesh of
+            another dimension than gdim or gdim − 1 or of higher order than u, bodies in spaces of different dimension,
+            a condition on a space of no body, or as many residuals as there are not displacements.
+    """
+
+    def __init__(
+        self,
+        residuals: Sequence[Any],
+        displacements: Sequence[fem.Function],
+        bcs: Sequence[fem.DirichletBC],
+        jacobians: Sequence[Any] | None,
+    ) -> None:
+        if len(residuals) != len(displacements):
+            raise ValueError(f"F: {len(residuals)} residuals for {len(displacements)} displacements: pass one each")
+        spaces = [u.function_space for u in displacements]
+        self.gdim: int = spaces[0].mesh.geometry.dim
+        if any(V.mesh.geometry.dim != self.gdim for V in spaces):
+            raise ValueError(f"u: bodies in spaces of dimension {[V.mesh.geometry.dim for V in spaces]}")
+        self.comm: MPI.Intracomm = spaces[0].mesh.comm
+        own = [[bc for bc in bcs if V._cpp_object.contains(bc.function_space)] for V in spaces]
+        if sum(map(len, own)) != len(bcs):
+            raise ValueError("bcs: a Dirichlet condition is on a space of none of the displacements u")
+        forms = [None] * len(spaces) if jacobians is None else jacobians
+        self.bodies = [Body(*parts) for parts in zip(residuals, displacements, own, forms, strict=True)]
+        for u in displacements:
+            u.x.scatter_forward()
+
+        counts = np.array(self.comm.allgather([body.owned for body in self.bodies]), dtype=np.int64)  # (ranks, bodies)
+        #: (ranks, bodies) where each rank's part of each body begins, in the body's own numbers and in the common ones
+        self._own_start = np.cumsum(counts, axis=0) - counts
+        self._start = (np.cumsum(counts.ravel()) - counts.ravel()).reshape(counts.shape)
+        mine = self._start[self.comm.rank] - self._start[self.comm.rank, 0]
+        self._slices = [
+            slice(int(s) * self.gdim, int(s + n) * self.gdim) for s, n in zip(mine, counts[self.comm.rank], strict=True)
+        ]
+        self.layout = Layout(self.comm, int(counts[self.comm.rank].sum()), int(counts.sum()), self.gdim)
+        self._maps = [self._local_to_common(k) for k in range(len(self.bodies))]
+
+    def index(self, domain: mesh.Mesh) -> int:
+        """Which body lives on a mesh.
+
+        Raises:
+            ValueError: if none does.
+        """
+        for k, body in enumerate(self.bodies):
+            if body.mesh is domain:
+                return k
+        raise ValueError("a surface lives on another mesh than the displacements: pass the mesh of a body")
+
+    # ---------------------------------------------------------------- numbering
+
+    def common(self, k: int, blocks: Index) -> Index:
+        """Common numbers of nodes of body k given by the body's own global numbers (any shape)."""
+        rank = np.searchsorted(self._own_start[:, k], blocks, side="right") - 1
+        return np.asarray(blocks - self._own_start[rank, k] + self._start[rank, k])
+
+    def nodes(self, k: int, dofs: NDArray[np.int32]) -> Index:
+        """Common numbers of nodes of body k given by numbers local to this rank (any shape)."""
+        own = self.bodies[k].space.dofmap.index_map.local_to_global(dofs.ravel())
+        return self.common(k, own.reshape(dofs.shape))
+
+    def _local_to_common(self, k: int) -> PETSc.LGMap:
+        index_map = self.bodies[k].space.dofmap.index_map
+        local = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
+        return PETSc.LGMap().create(self.nodes(k, local).astype(np.int32), bsize=self.gdim, comm=self.comm)
+
+    # ---------------------------------------------------------------- vectors
+
+    def set(self, values: Array) -> None:
+        """Displacements from an array (owned dofs,), ghosts included."""
+        for body, part in zip(self.bodies, self._slices, strict=True):
+            body.u.x.array[: part.stop - part.start] = values[part]
+            body.u.x.scatter_forward()
+
+    def get(self) -> Array:
+        """(owned dofs,) a copy of the displacements."""
+        return np.concatenate([b.u.x.array[: p.stop - p.start] for b, p in zip(self.bodies, self._slices, strict=True)])
+
+    def residual(self, b: PETSc.Vec) -> float:
+        """Assemble the bulk's residual into `b`; returns its norm with reactions, before Dirichlet rows are set."""
+        local = b.array
+        for body, part in zip(self.bodies, self._slices, strict=True):
+            local[part] = body.residual()
+        norm = np.sqrt(self.comm.allreduce(float(local @ local)))
+        for body, part in zip(self.bodies, self._slices, strict=True):
+            body.set_bc_rows(local[part])
+        return float(norm)
+
+    def inverted_volume(self) -> float:
+        """Reference volume of inverted cells, at the bulk's Gauss points (collective)."""
+        return float(self.comm.allreduce(sum(body.inverted_volume() for body in self.bodies)))
+
+    def diameter(self) -> float:
+        """Diagonal of the bounding box of all meshes (m)."""
+        x = np.concatenate([body.mesh.geometry.x for body in self.bodies])
+        low = np.min(self.comm.allgather(x.min(axis=0, initial=np.inf)), axis=0)
+        high = np.max(self.comm.allgather(x.max(axis=0, initial=-np.inf)), axis=0)
+        return float(np.linalg.norm(high - low))
+
+    # ---------------------------------------------------------------- matrices
+
+    def stiffness(self) -> tuple[list[fem.Function], tuple[Index, Index]]:
+        """Diagonal of the bulk's stiffness (N/m) of each body, and the pattern of all in compressed rows."""
+        diagonals, indptr, indices = [], [np.zeros(1, dtype=np.int64)], []
+        for k, body in enumerate(self.bodies):
+            A = body.stiffness()
+            diagonal = fem.Function(body.space)
+            A.getDiagonal(diagonal.x.petsc_vec)
+            diagonal.x.scatter_forward()
+            diagonals.append(diagonal)
+            rows, columns, _ = A.getValuesCSR()
+            block, component = np.divmod(columns.astype(np.int64), self.gdim)
+            indices.append(self.common(k, block) * self.gdim + component)
+            indptr.append(rows[1:].astype(np.int64) + indptr[-1][-1])
+        return diagonals, (np.concatenate(indptr), np.concatenate(indices))
+
+    def assemble_jacobian(self, A: PETSc.Mat) -> None:
+        """Add the bulk's Jacobian to A, Dirichlet rows and columns zero with a unit diagonal."""
+        for body, map_ in zip(self.bodies, self._maps, strict=True):
+            A.setLGMap(map_, map_)
+            body.assemble_jacobian(A)
+            A.assemble(PETSc.Mat.AssemblyType.FLUSH)
+
+
+def _check_space(V: fem.FunctionSpace) -> None:
+    domain, element = V.mesh, V.element.basix_element
+    d, tdim = domain.geometry.dim, domain.topology.dim
+    if tdim not in (d, d - 1):
+        raise ValueError(f"a mesh of dimension {tdim} in space of dimension {d}: neither a body nor a membrane")
+    if V.dofmap.index_map_bs != d:
+        raise ValueError(f"u has {V.dofmap.index_map_bs} components on a mesh in space of dimension {d}")
+    if element.family.name != "P" or element.degree not in (1, 2) or element.discontinuous:
+        raise ValueError(f"u: {V.ufl_element()} is not a continuous Lagrange element of order 1 or 2")
+    if domain.geometry.cmap.degree > element.degree:
+        raise ValueError(
+            f"u has order {element.degree} on a mesh of order {domain.geometry.cmap.degree}: "
+            "take u at least of the mesh's order"
+        )

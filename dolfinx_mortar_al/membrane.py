@@ -1,0 +1,144 @@
+"""Membranes as UFL: a curve in the plane or a surface in space, of small thickness and without bending stiffness.
+
+The mesh's cells have one dimension less than the space. 𝐅 = 𝐓 + ∇u maps the membrane's tangent plane (projector 𝐓) to the
+deformed one; J is the ratio of deformed to reference area (length, for a curve). Stress vanishes through the thickness,
+which is eliminated here; a curve is in plane strain along z (section 4.2 of the paper).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import ufl
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+from dolfinx_mortar_al.materials import lame
+
+__all__ = [
+    "NeoHookeanMembrane",
+    "area_stretch",
+    "area_vector",
+    "neo_hookean_membrane",
+    "principal_stretches",
+    "tangent_gradient",
+]
+
+HALLEY = (
+    4  # iterations for the thickness: round-off for J from e⁻⁴ to e⁷ and ν from 0 to 0.4999 (tests/test_membrane.py)
+)
+
+
+def tangent_gradient(u: fem.Function) -> Expr:
+    """𝐅 = 𝐓 + ∇u (dimensionless), gdim × gdim, zero on the reference normal."""
+    mesh = u.function_space.mesh
+    return ufl.Jacobian(mesh) * ufl.JacobianInverse(mesh) + ufl.grad(u)
+
+
+def _squared_area_stretch(C: Expr, tdim: int) -> Expr:
+    """J² from the tangential Cauchy–Green tensor 𝐂 = 𝐅ᵀ𝐅."""
+    return ufl.tr(C) if tdim == 1 else (ufl.tr(C) ** 2 - ufl.tr(C * C)) / 2
+
+
+def area_stretch(u: fem.Function) -> Expr:
+    """J, current over reference area of a membrane (length, for a curve)."""
+    F = tangent_gradient(u)
+    return ufl.sqrt(_squared_area_stretch(F.T * F, u.function_space.mesh.topology.dim))
+
+
+def principal_stretches(u: fem.Function) -> tuple[Expr, ...]:
+    """The membrane's stretches in its own plane, the smallest first: one for a curve, two for a surface."""
+    F, tdim = tangent_gradient(u), u.function_space.mesh.topology.dim
+    C = F.T * F
+    if tdim == 1:
+        return (ufl.sqrt(ufl.tr(C)),)
+    mean, product = ufl.tr(C) / 2, _squared_area_stretch(C, tdim)
+    spread = ufl.sqrt(ufl.max_value(mean**2 - product, 0.0))
+    return ufl.sqrt(ufl.max_value(mean - spread, 0.0)), ufl.sqrt(mean + spread)
+
+
+def area_vector(u: fem.Function, side: Any) -> Expr:
+    """𝐧 da/dA: normal of the deformed membrane times the ratio of areas, on its side `side`.
+
+    Args:
+        u: displacement (m).
+        side: a vector (numbers, or UFL in reference coordinates) that points to that side of the reference membrane.
+    """
+    mesh = u.function_space.mesh
+    J = ufl.Jacobian(mesh)
+    side = side if isinstance(side, Expr) else ufl.as_vector(side)
+    reference, current = _normal(J), _normal(J + ufl.grad(u) * J)
+    turn = ufl.conditional(ufl.gt(ufl.inner(reference, side), 0.0), 1.0, -1.0)
+    return turn * current / ufl.sqrt(ufl.inner(reference, reference))
+
+
+def _normal(a: Expr) -> Expr:
+    """𝐚₁ turned by −90° or 𝐚₁ × 𝐚₂ from tangents in columns, not normalised."""
+    if a.ufl_shape[1] == 1:
+        return ufl.as_vector([a[1, 0], -a[0, 0]])
+    return ufl.cross(a[:, 0], a[:, 1])
+
+
+@dataclass(frozen=True)
+class NeoHookeanMembrane:
+    """The neo-Hookean law of section 4.2 in plane stress through the thickness; G, Λ in Pa, reference thickness in m.
+
+    Stationarity of w in the squared thickness stretch x, G(x − 1) + Λ/2 ln x + Λ ln J = 0, leaves 𝐏 = G(𝐅 − x 𝐅⁺ᵀ) with
+    the pseudo-inverse 𝐅⁺.
+    """
+
+    G: float
+    Λ: float
+    thickness: float
+
+    def squared_thickness_stretch(self, J: Expr) -> Expr:
+        """x(J), by Halley's iteration on y = ln x: exact to round-off, and so is its derivative."""
+        G, Λ = self.G, self.Λ
+        log_J = ufl.ln(J)
+        y = -Λ * log_J / (G + Λ / 2)
+        for _ in range(HALLEY):
+            x = ufl.exp(y)
+            f, slope = G * (x - 1) + Λ * (y / 2 + log_J), G * x + Λ / 2
+            y = y - 2 * f * slope / (2 * slope**2 - f * G * x)
+        return ufl.exp(y)
+
+    def first_piola(self, F: Expr, tdim: int) -> Expr:
+        """𝐏 in Pa from :func:`tangent_gradient`."""
+        C = F.T * F
+        JJ = _squared_area_stretch(C, tdim)
+        F_inv_T = F / JJ if tdim == 1 else (ufl.tr(C) * F - F * C) / JJ  # 𝐂⁻¹ by Cayley–Hamilton in the plane
+        return self.G * (F - self.squared_thickness_stretch(ufl.sqrt(JJ)) * F_inv_T)
+
+    def virtual_work(self, u: fem.Function, v: Expr | None = None, *, degree: int | None = None) -> Any:
+        """Internal virtual work ∫ h 𝐏(u) : ∇v dA (per unit length along z, for a curve).
+
+        Args:
+            u: displacement (m), on a mesh of cells of dimension gdim − 1.
+            v: virtual displacement, default the test function of u's space.
+            degree: of the quadrature, default twice the order of u.
+        """
+        V = u.function_space
+        v = ufl.TestFunction(V) if v is None else v
+        degree = 2 * V.ufl_element().embedded_subdegree if degree is None else degree
+        dx = ufl.Measure("dx", V.mesh, metadata={"quadrature_degree": degree})
+        P = self.first_piola(tangent_gradient(u), V.mesh.topology.dim)
+        return self.thickness * ufl.inner(P, ufl.grad(v)) * dx
+
+    def smallest_tension(self, u: fem.Function) -> Expr:
+        """Tension in the direction of least stretch (N/m, per reference width); below zero the membrane would wrinkle."""
+        l, x = principal_stretches(u)[0], self.squared_thickness_stretch(area_stretch(u))
+        return self.thickness * self.G * (l - x / l)
+
+
+def neo_hookean_membrane(E: float, nu: float, thickness: float) -> NeoHookeanMembrane:
+    """Neo-Hookean membrane from Young's modulus E (Pa), Poisson's ratio ν and thickness (m).
+
+    Raises:
+        ValueError: on moduli out of range, ν < 0 (the thickness is then not unique) or a thickness that is not positive.
+    """
+    if nu < 0:
+        raise ValueError(f"nu = {nu}: a membrane needs 0 ≤ ν < 0.5, for ν < 0 its thickness stretch is not unique")
+    if not thickness > 0:
+        raise ValueError(f"thickness = {thickness}: must be positive (m)")
+    return NeoHookeanMembrane(*lame(E, nu), thickness)

@@ -1,0 +1,88 @@
+"""PETSc matrices and vectors of one block of unknowns: made from a layout, filled with batches of element arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+__all__ = ["Layout", "empty_matrix", "insert", "insert_vector", "matrix_with_pattern"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_ADD = PETSc.InsertMode.ADD
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the unknowns of a block are spread: local and global number of nodes, components per node."""
+
+    comm: MPI.Intracomm
+    local: int
+    total: int
+    components: int
+
+    @classmethod
+    def of(cls, V: fem.FunctionSpace) -> Layout:
+        """The layout of a function space's dofs."""
+        index_map = V.dofmap.index_map
+        return cls(V.mesh.comm, index_map.size_local, index_map.size_global, V.dofmap.index_map_bs)
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Local and global number of unknowns."""
+        return self.local * self.components, self.total * self.components
+
+    def vector(self) -> PETSc.Vec:
+        """A vector of zeros."""
+        v = PETSc.Vec().createMPI(self.sizes, bsize=self.components, comm=self.comm)
+        v.set(0.0)
+        return v
+
+
+def empty_matrix(rows: Layout, columns: Layout) -> PETSc.Mat:
+    """A matrix without a pattern: PETSc collects the entries in a hash table until the first assembly."""
+    A = PETSc.Mat().create(rows.comm)
+    A.setSizes((rows.sizes, columns.sizes))
+    A.setType(PETSc.Mat.Type.AIJ)
+    A.setBlockSizes(rows.components, columns.components)
+    A.setUp()
+    return A
+
+
+def matrix_with_pattern(layout: Layout, *patterns: tuple[Index, Index]) -> PETSc.Mat:
+    """A square matrix whose pattern is the union of some in compressed rows (of this rank, global columns), entries zero."""
+    from scipy.sparse import csr_array
+
+    union = sum(csr_array((np.ones(len(j)), j, i), shape=layout.sizes) for i, j in patterns)
+    union.sort_indices()
+    A = PETSc.Mat().create(layout.comm)
+    A.setSizes((layout.sizes, layout.sizes))
+    A.setType(PETSc.Mat.Type.AIJ)
+    A.setBlockSize(layout.components)
+    A.setPreallocationCSR((union.indptr.astype(np.int32), union.indices.astype(np.int32), np.zeros(union.nnz)))
+    return A
+
+
+def insert(A: PETSc.Mat, rows: Index, columns: Index, values: Array, factor: float = 1.0) -> None:
+    """Add `factor` × element matrices (m, rows, row_bs, columns, column_bs) at global blocks (m, ·), (m, ·)."""
+    m, k, row_bs, l, column_bs = values.shape
+    values = factor * values.reshape(m, k * row_bs, l * column_bs)
+    if row_bs == column_bs and row_bs > 1:
+        A.setValuesBlockedRCV(rows.astype(np.int32), columns.astype(np.int32), values, _ADD)
+        return
+    i = (rows[:, :, None] * row_bs + np.arange(row_bs)).reshape(m, k * row_bs)
+    j = (columns[:, :, None] * column_bs + np.arange(column_bs)).reshape(m, l * column_bs)
+    A.setValuesRCV(i.astype(np.int32), j.astype(np.int32), values, _ADD)
+
+
+def insert_vector(b: PETSc.Vec, blocks: Index, values: Array, factor: float = 1.0) -> None:
+    """Add `factor` × element vectors (m, nodes, components) at global blocks (m, nodes)."""
+    m = values.shape[2]
+    index = (blocks[:, :, None] * m + np.arange(m)).astype(np.int32)
+    b.setValues(index.ravel(), factor * values.ravel(), addv=_ADD)
