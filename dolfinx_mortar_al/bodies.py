@@ -18,9 +18,9 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from dolfinx_mortar_al.materials import deformation_gradient
+from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
-from dolfinx_mortar_al.petsc_blocks import Layout
+from dolfinx_mortar_al.petsc_blocks import Layout, matrix_with_pattern
 
 __all__ = ["Bodies", "Body"]
 
@@ -40,6 +40,7 @@ class Body:
         self.bcs = list(bcs)
         self.F, self.J = fem.form(F), fem.form(ufl.derivative(F, u) if jacobian is None else jacobian)
         self._inverted = fem.form(self._inversion_indicator())
+        self._tension: Any = None  # few problems need it
         self._residual = dolfinx_petsc.create_vector(self.F)
 
     @property
@@ -82,8 +83,24 @@ class Body:
         self.set_bc_rows(gap)
         return bool(self.mesh.comm.allreduce(float(np.abs(gap).max(initial=0.0)), MPI.MAX) > 0)
 
+    def prescribed(self) -> fem.Function:
+        """1 at the components that a Dirichlet condition prescribes, 0 elsewhere; ghosts agree."""
+        flag = fem.Function(self.space)
+        for bc in self.bcs:
+            dofs, owned = bc.dof_indices()
+            flag.x.array[dofs[:owned]] = 1.0
+        flag.x.scatter_forward()
+        return flag
+
     def assemble_jacobian(self, A: PETSc.Mat) -> None:
         dolfinx_petsc.assemble_matrix(A, self.J, bcs=self.bcs)
+
+    def assemble_tension(self, A: PETSc.Mat) -> None:
+        """Add ∫ ∇u : ∇v dΩ, zero on prescribed rows and columns: what a uniform tension of 1 Pa adds to the stiffness."""
+        if self._tension is None:
+            v, w = ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
+            self._tension = fem.form(ufl.inner(ufl.grad(w), ufl.grad(v)) * cell_measure(self.u))
+        dolfinx_petsc.assemble_matrix(A, self._tension, bcs=self.bcs, diagonal=0.0)
 
     def stiffness(self) -> PETSc.Mat:
         """The Jacobian without Dirichlet conditions, alone."""
@@ -179,6 +196,22 @@ class Bodies:
         """(owned dofs,) a copy of the displacements."""
         return np.concatenate([b.u.x.array[: p.stop - p.start] for b, p in zip(self.bodies, self._slices, strict=True)])
 
+    def total(self, f: fem.Function) -> float:
+        """Sum of a Function's values over all dofs (collective)."""
+        V = f.function_space
+        mine = f.x.array[: V.dofmap.index_map.size_local * V.dofmap.index_map_bs]
+        return float(self.comm.allreduce(float(mine.sum())))
+
+    def is_limp(self, diagonals: Sequence[fem.Function]) -> bool:
+        """Whether a displacement that is not prescribed meets next to no stiffness (collective); see `stiffness`."""
+        limp = False
+        for body, diagonal in zip(self.bodies, diagonals, strict=True):
+            k = diagonal.x.array
+            largest = self.comm.allreduce(float(k.max(initial=0.0)), MPI.MAX)
+            free = body.prescribed().x.array == 0
+            limp |= bool(self.comm.allreduce(bool((k[free] < 1e-10 * largest).any()), MPI.LOR))
+        return limp
+
     def residual(self, b: PETSc.Vec) -> float:
         """Assemble the bulk's residual into `b`; returns its norm with reactions, before Dirichlet rows are set."""
         local = b.array
@@ -223,6 +256,18 @@ class Bodies:
             A.setLGMap(map_, map_)
             body.assemble_jacobian(A)
             A.assemble(PETSc.Mat.AssemblyType.FLUSH)
+
+    def tension(self, pattern: tuple[Index, Index], stiffness: Sequence[float]) -> PETSc.Mat:
+        """What fictitious tensions add to the stiffness, scaled to have the trace `stiffness` (N/m) for each body."""
+        total = matrix_with_pattern(self.layout, pattern)
+        for body, map_, k in zip(self.bodies, self._maps, stiffness, strict=True):
+            A = total.duplicate()
+            A.setLGMap(map_, map_)
+            body.assemble_tension(A)
+            A.assemble()
+            trace = A.getDiagonal().sum()
+            total.axpy(k / trace, A, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        return total
 
 
 def _check_space(V: fem.FunctionSpace) -> None:

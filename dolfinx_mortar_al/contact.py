@@ -17,7 +17,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from dolfinx_mortar_al.bodies import Bodies, Body
+from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.projection import Projection, TargetPoint, project
@@ -36,7 +36,8 @@ Index = NDArray[np.int64]
 PATIENCE = 1.0  # gaps are trusted to this many times their error
 DEEPEST = 1.0 - 1e-6  # of the penetrated points only the deepest of each neighbourhood closes
 WEAK = 0.1  # share of the largest pressure below which points of a first, all-closed guess open
-CHANGES = 3  # of its target facet after which a point stays on the last one for the rest of a solve
+RETURNS = 2  # to the target facet it came from, after which a point stays there for the rest of a solve
+AT_END = 0.1  # weight of the other nodes where a point counts as at the target's end
 SOFTER = 0.1  # ε over the bulk's stiffness at the surface
 
 
@@ -50,7 +51,8 @@ class Contact:
         friction: Coulomb's coefficient μ ≥ 0; 0 builds the problem with a scalar multiplier and no slip history.
         epsilon_normal, epsilon_tangential: augmentation parameters ε_N, ε_T (Pa/m). By default both come from the bulk
             stiffness at the surfaces; the answer depends on them only where a facet is partly closed.
-        quadrature_degree: of the contactor's Gauss points, default 2 × order + 1, at least 2 × order.
+        quadrature_degree: of the contactor's Gauss points, at least 2 × order; default 2 × order + 1, on a curved membrane
+            in the plane 6 × order + 1.
         thickness: out of the plane (m), for two-dimensional bodies; the same as in the bulk's forms.
         name: for messages and output.
 
@@ -111,9 +113,10 @@ class ContactPair:
         self.contactor_blocks: Index = bodies.nodes(k1, self.facets.dofs)
         self.target_blocks: Index = bodies.common(k2, self.target.blocks)
         self._quadrature()
+        self._last_points = self._points_at_end()
         self._make_scatter()
-        self._contactor_fixed = self._at_contactor(prescribed_components(self._body1)) > 0
-        self._target_fixed = self._at_target(prescribed_components(self._body2)) > 0
+        self._contactor_fixed = self._at_contactor(self._body1.prescribed()) > 0
+        self._target_fixed = self._at_target(self._body2.prescribed()) > 0
         self.multiplier = MultiplierSpace(self.facets, self.gdim if contact.friction else 1, self._redundant())
         self.slots = Slots(self.gdim, self.multiplier.components, contact.friction > 0)
         NΛ = np.einsum("qa,fiab->fqbi", self.N, self.multiplier.T)
@@ -157,7 +160,9 @@ class ContactPair:
                 f"{self.name}: quadrature_degree = {degree} has too few points to determine multipliers of order "
                 f"{shape.order}; take at least {2 * shape.order}"
             )
-        points, weights = shape.quadrature(2 * shape.order + 1 if degree is None else degree)
+        # a membrane has no bending stiffness: its pressure jumps at the edge of contact, inside a facet (docs/newton.md)
+        default = (6 if self.contact.contactor.is_membrane and shape.dim == 1 else 2) * shape.order + 1
+        points, weights = shape.quadrature(default if degree is None else degree)
         self.N, self._dN = shape.tabulate(points, 1)  # (nq, nodes), (nq, dim, nodes)
         area = np.linalg.norm(self._contactor_normal(self.facets.X), axis=2)
         #: (nf, nq) weight × reference area of each Gauss point (m², thickness included)
@@ -216,7 +221,7 @@ class ContactPair:
         """
         x, nodes = self.positions()
         self.at = project(self.target, nodes, x, self.search(x, nodes))
-        self._target_nodes = nodes
+        self._x, self._target_nodes = x, nodes
         self.commit()
         self.closed: NDArray[np.bool_] = self.at.facing & (self.at.g >= -self._touch)
         self.fresh = True  # until a step has converged
@@ -238,8 +243,8 @@ class ContactPair:
     def begin(self) -> None:
         """A new solve: points may choose their target facets again, and gaps are trusted as at first."""
         self.patience, self._guess = PATIENCE, self.fresh
-        self._changes = np.zeros(len(self.facet_of_point), dtype=np.int64)
-        self._held = self._changes > 0
+        self._returns = np.zeros(len(self.facet_of_point), dtype=np.int64)
+        self._left, self._held = self._returns - 1, self._returns > 0
 
     def positions(self) -> tuple[Array, Array]:
         """Contactor points (n, gdim) and target nodes (·, gdim) where the displacements have moved them."""
@@ -251,13 +256,15 @@ class ContactPair:
         """Closest points, slip and law at the displacements and the multiplier field; ghosts are up to date."""
         with self.stopwatch("search"):
             x, nodes = self.positions()
-            self._target_nodes = nodes
+            self._x, self._target_nodes = x, nodes
             near = self.search(x, nodes)
         with self.stopwatch("projection"):
             before = self.at.point.facet
             self.at = project(self.target, nodes, x, near, self.at.point, self._held)
-            self._changes += self.at.point.facet != before
-            self._held = self._changes >= CHANGES
+            moved, returned = self.at.point.facet != before, self.at.point.facet == self._left
+            self._returns += moved & returned
+            self._left = np.where(moved, before, self._left)
+            self._held = self._returns >= RETURNS
         with self.stopwatch("contact"):
             self.Λ = np.einsum("nai,nai->ni", self.NΛ, self.multiplier.own_nodal()[self.facet_of_point])
             self.s = self.slip() if self.contact.friction else None
@@ -287,6 +294,41 @@ class ContactPair:
                 release, self._guess = weak, False
         self._apply_law(np.where(was_closed, release, close))
         self.closed = self.state.status != OPEN
+
+    def reaches_end(self) -> bool:
+        """Whether a point is closed at the very end of the contactor or of the target (collective)."""
+        closed = self.state.status != OPEN
+        facets = self.target.facets[self.at.point.facet]
+        at_end = self._last_points | (np.einsum("nk,nk->n", self.at.N, self.target.end_nodes[facets]) > 1 - AT_END)
+        return bool(self.comm.allreduce(bool((closed & at_end).any()), MPI.LOR))
+
+    def _points_at_end(self) -> NDArray[np.bool_]:
+        """(n,) the Gauss points next to an end of the contactor."""
+        V = self.facets.space
+        gathered = self.facets.gather()
+        ends = gathered.blocks[gathered.end_nodes]
+        own = V.dofmap.index_map.local_to_global(self.facets.dofs.ravel()).reshape(self.facets.dofs.shape)
+        weight = np.einsum("qa,fa->fq", self.N, np.isin(own, ends))
+        nearest = weight.max(axis=1, keepdims=True, initial=0.0)
+        return ((nearest > 0.5) & (weight >= nearest - 1e-9)).ravel()
+
+    def relative_motion(self) -> float:
+        """How far the present displacements have moved closed points over the target since the last evaluation, in
+        target facets (collective)."""
+        x, nodes = self.positions()
+        moved = np.einsum(
+            "nk,nki->ni", self.at.N, (nodes - self._target_nodes)[self.target.facets[self.at.point.facet]]
+        )
+        size = np.linalg.norm(x - self._x - moved, axis=1)[self.state.status != OPEN]
+        return self.comm.allreduce(float(size.max(initial=0.0)), MPI.MAX) / self.target.size_of_facets
+
+    def violation(self) -> float:
+        """Largest |λ̂_N| (Pa) at a point held closed against λ̂_N < 0 or open against λ̂_N > 0, over what round-off
+        explains, as a share of the largest pressure (collective)."""
+        λ = np.where(self.at.facing, self.state.λN_hat, 0.0)
+        wrong = np.where(self.closed, -λ, λ) - self.ε.normal * self._touch
+        worst, largest = (self.comm.allreduce(float(v.max(initial=0.0)), MPI.MAX) for v in (wrong, self.state.p))
+        return worst / largest if worst > 0 else 0.0
 
     def _neighbourhood_maximum(self, λ: Array) -> Array:
         """(n,) the largest positive λ (n,) on a point's facet and the facets that share a node with it."""
@@ -487,13 +529,3 @@ def _apply_columns(C: Array, B: Array, d: int) -> Array:
 
 def _add_runs(values: Array, starts: Index) -> Array:
     return np.add.reduceat(values, starts, axis=0) if len(starts) else values
-
-
-def prescribed_components(body: Body) -> fem.Function:
-    """1 at the components of a body's nodes that a Dirichlet condition prescribes, 0 elsewhere; ghosts agree."""
-    flag = fem.Function(body.space)
-    for bc in body.bcs:
-        dofs, owned = bc.dof_indices()
-        flag.x.array[dofs[:owned]] = 1.0
-    flag.x.scatter_forward()
-    return flag

@@ -11,7 +11,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinx_mortar_al.materials import deformation_gradient
+from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_vector
 
 __all__ = ["axis_normal", "dead_traction", "follower_force", "membrane_pressure", "pressure"]
@@ -49,4 +49,4 @@ def membrane_pressure(u: fem.Function, p: Expr, side: Any, dx: ufl.Measure) -> A
         side: a vector (numbers, or UFL in reference coordinates) that points to where the pressure pushes.
         dx: measure of the cells under pressure.
     """
-    return p * ufl.inner(area_vector(u, side), ufl.TestFunction(u.function_space)) * dx
+    return p * ufl.inner(area_vector(u, side), ufl.TestFunction(u.function_space)) * cell_measure(u, dx)

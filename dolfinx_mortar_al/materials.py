@@ -18,6 +18,7 @@ __all__ = [
     "Hyperelastic",
     "NeoHookean",
     "SaintVenantKirchhoff",
+    "cell_measure",
     "deformation_gradient",
     "lame",
     "neo_hookean",
@@ -28,6 +29,13 @@ __all__ = [
 def deformation_gradient(u: fem.Function) -> Expr:
     """𝐅 = 𝐈 + ∇u (dimensionless)."""
     return ufl.Identity(len(u)) + ufl.grad(u)
+
+
+def cell_measure(u: fem.Function, dx: ufl.Measure | None = None) -> ufl.Measure:
+    """`dx` (default all cells), with a quadrature degree of twice the order of u unless it has one of its own."""
+    V = u.function_space
+    dx = ufl.Measure("dx", V.mesh) if dx is None else dx
+    return dx if "quadrature_degree" in dx.metadata() else dx(degree=2 * V.ufl_element().embedded_subdegree)
 
 
 def lame(E: float, ν: float) -> tuple[float, float]:
@@ -55,7 +63,7 @@ class Hyperelastic(ABC):
         """𝐏 = ∂w/∂𝐅 in Pa, written out (shorter kernels than an automatic derivative)."""
 
     def virtual_work(
-        self, u: fem.Function, v: Expr | None = None, *, thickness: float = 1.0, degree: int | None = None
+        self, u: fem.Function, v: Expr | None = None, *, thickness: float = 1.0, dx: ufl.Measure | None = None
     ) -> Any:
         """Internal virtual work ∫ 𝐏(u) : ∇v dΩ, the form G_int of eq. (1).
 
@@ -63,12 +71,10 @@ class Hyperelastic(ABC):
             u: displacement (m).
             v: virtual displacement, default the test function of u's space.
             thickness: of the body out of the plane (m), for a two-dimensional u.
-            degree: of the quadrature, default twice the order of u.
+            dx: measure of the body's cells, default all of the mesh; its quadrature degree defaults to twice u's order.
         """
-        V = u.function_space
-        v = ufl.TestFunction(V) if v is None else v
-        degree = 2 * V.ufl_element().embedded_subdegree if degree is None else degree
-        dx = ufl.Measure("dx", V.mesh, metadata={"quadrature_degree": degree})
+        v = ufl.TestFunction(u.function_space) if v is None else v
+        dx = cell_measure(u, dx)
         return thickness * ufl.inner(self.first_piola(deformation_gradient(u)), ufl.grad(v)) * dx
 
 

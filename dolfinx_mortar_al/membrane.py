@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinx_mortar_al.materials import lame
+from dolfinx_mortar_al.materials import cell_measure, lame
 
 __all__ = [
     "NeoHookeanMembrane",
@@ -110,20 +110,17 @@ class NeoHookeanMembrane:
         F_inv_T = F / JJ if tdim == 1 else (ufl.tr(C) * F - F * C) / JJ  # 𝐂⁻¹ by Cayley–Hamilton in the plane
         return self.G * (F - self.squared_thickness_stretch(ufl.sqrt(JJ)) * F_inv_T)
 
-    def virtual_work(self, u: fem.Function, v: Expr | None = None, *, degree: int | None = None) -> Any:
+    def virtual_work(self, u: fem.Function, v: Expr | None = None, *, dx: ufl.Measure | None = None) -> Any:
         """Internal virtual work ∫ h 𝐏(u) : ∇v dA (per unit length along z, for a curve).
 
         Args:
             u: displacement (m), on a mesh of cells of dimension gdim − 1.
             v: virtual displacement, default the test function of u's space.
-            degree: of the quadrature, default twice the order of u.
+            dx: measure of the membrane's cells, default all; its quadrature degree defaults to twice the order of u.
         """
-        V = u.function_space
-        v = ufl.TestFunction(V) if v is None else v
-        degree = 2 * V.ufl_element().embedded_subdegree if degree is None else degree
-        dx = ufl.Measure("dx", V.mesh, metadata={"quadrature_degree": degree})
-        P = self.first_piola(tangent_gradient(u), V.mesh.topology.dim)
-        return self.thickness * ufl.inner(P, ufl.grad(v)) * dx
+        v = ufl.TestFunction(u.function_space) if v is None else v
+        P = self.first_piola(tangent_gradient(u), u.function_space.mesh.topology.dim)
+        return self.thickness * ufl.inner(P, ufl.grad(v)) * cell_measure(u, dx)
 
     def smallest_tension(self, u: fem.Function) -> Expr:
         """Tension in the direction of least stretch (N/m, per reference width); below zero the membrane would wrinkle."""

@@ -19,8 +19,11 @@ __all__ = ["NewtonResult", "NewtonSolver"]
 
 _Reason = PETSc.SNES.ConvergedReason
 
+FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane's stiffness in its own plane
+LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, as a share of the largest pressure
+LONGEST = 1.0  # target facets that a closed point may move over the target in one iteration
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
-HOPELESS_AFTER, HOPELESS = 20, 0.1  # as it is when five iterations in a row have relative residuals above this
+HOPELESS_AFTER, HOPELESS = 12, 0.1  # as it is when five iterations in a row have relative residuals above this
 
 
 @dataclass
@@ -89,6 +92,7 @@ class NewtonSolver:
         for pair in p.pairs:
             pair.begin()
         self._linear_start = perf_counter()
+        self._tension = FIRST_TENSION if p.limp else 0.0
         p.pack(p.x)
         with p.stopwatch("newton"):
             self.snes.solve(None, p.x)
@@ -109,10 +113,22 @@ class NewtonSolver:
         self.problem.assemble_residual(x, f)
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
+        self.problem.tension = self._fictitious_tension()
         self.problem.assemble_jacobian()
         if self.problem.matrix.handle != A.handle:  # a new pattern
             snes.setJacobian(self._jacobian, self.problem.matrix)
         self._linear_start = perf_counter()
+
+    def _fictitious_tension(self) -> float:
+        """For a start without stiffness, such as a flat membrane: a tension in the Jacobian only, that goes with the residual.
+
+        It is counted in shares of the stiffness and multiplied by the relative residual, so that it is gone at
+        convergence; as Newton makes progress it shrinks faster, and grows back where it does not.
+        """
+        norms = [max(norms) for norms in self.result.norms]
+        if len(norms) > 1:
+            self._tension *= 0.3 if norms[-1] < norms[-2] else 3.0
+        return self._tension * min(1.0, norms[-1] / max(norms[0], 1e-300))
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
         f = self.problem.residual.getNestSubVecs() if iteration == 0 else snes.getFunction()[0].getNestSubVecs()
@@ -121,7 +137,7 @@ class NewtonSolver:
         if not np.isfinite(ratio).all():
             self.result.message = "the residual is not a number"
             return _Reason.DIVERGED_FNORM_NAN
-        if max(ratio) <= 1.0:
+        if max(ratio) <= 1.0 and all(pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs):
             return _Reason.CONVERGED_FNORM_ABS
         recent = [max(norms) * self.rtol for norms in self.result.norms[-5:]]
         if iteration >= snes.getTolerances()[3] or (iteration >= HOPELESS_AFTER and min(recent) > HOPELESS):
@@ -155,12 +171,15 @@ class NewtonSolver:
         return None
 
     def _guard(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
-        """Shorten the step x ← x − y until no cell is inverted."""
+        """Shorten the step x ← x − y until no cell is inverted and no closed point slides too far."""
         p = self.problem
         p.stopwatch.add("linear solve", perf_counter() - self._linear_start)
         length = self._damping
         with p.stopwatch("guard"):
             xu, yu = x.getNestSubVecs()[0], y.getNestSubVecs()[0]
+            p.bodies.set(xu.array_r - length * yu.array_r)
+            motion = max([pair.relative_motion() for pair in p.pairs], default=0.0)
+            length *= min(1.0, LONGEST / max(motion, 1e-300))
             for _ in range(12):
                 p.bodies.set(xu.array_r - length * yu.array_r)
                 if p.inverted_volume() <= 0:

@@ -104,6 +104,11 @@ class ContactProblem:
         self.blocks: list[list[Any]] = [[None] * n for _ in range(n)]
         diagonals, self._bulk_pattern = self.bodies.stiffness()
         self.blocks[0][0] = matrix_with_pattern(self.bodies.layout, self._bulk_pattern)
+        self._traces = [self.bodies.total(d) for d in diagonals]
+        #: some unprescribed displacement meets no stiffness, as a flat membrane's across it; until a step has converged
+        self.limp = self.bodies.is_limp(diagonals)
+        #: a fictitious tension in the Jacobian, as a share of the stiffness (no part of the residual)
+        self.tension, self._tension_matrix = 0.0, None
         for k in range(1, n):
             for i, j in [(0, k), (k, 0), (k, k)]:
                 self.blocks[i][j] = empty_matrix(self._layouts[i], self._layouts[j])
@@ -204,12 +209,26 @@ class ContactProblem:
                 self.blocks[k][k].setValuesRCV(idle[:, None], idle[:, None], np.full((len(idle), 1, 1), unit), _ADD)
         with self.stopwatch("bulk"):
             self.bodies.assemble_jacobian(self.blocks[0][0])
+            if self.tension:
+                self._add_tension()
         with self.stopwatch("contact"):
             for row in self.blocks:
                 for block in row:
                     if block is not None:
                         block.assemble()
             self.matrix.assemble()
+
+    def evaluate(self) -> None:
+        """Bring the pairs' contact state, and all that is reported of it, up to date with the displacements."""
+        for pair in self.pairs:
+            pair.evaluate()
+
+    def _add_tension(self) -> None:
+        if self._tension_matrix is None:
+            self._tension_matrix = self.bodies.tension(self._bulk_pattern, self._traces)
+        A = self.blocks[0][0]
+        A.assemble()
+        A.axpy(self.tension, self._tension_matrix, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
     def contact_pattern(self) -> int:
         """A number that changes with the open/slip/stick state of any point on any rank (collective)."""
@@ -246,6 +265,7 @@ class ContactProblem:
 
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""
+        self.limp = False
         for pair in self.pairs:
             pair.commit()
 

@@ -19,6 +19,7 @@ __all__ = ["Step", "StepFailure", "march"]
 
 MAX_ORDER = 4  # of the predictor's polynomial
 MAX_ORDER_WITH_FRICTION = 1  # slip makes a history of kinks: measured, docs/newton.md
+EVENT = 2.0**-6  # of an asked-for increment: how closely an event is met
 EASY = 8  # Newton iterations up to which an increment that was cut may grow again
 
 
@@ -47,6 +48,7 @@ def march(
     start: float | None = None,
     solver: NewtonSolver | None = None,
     smallest: float = 2.0**-10,
+    until: Callable[[], bool] | None = None,
     progress: bool = False,
 ) -> Iterator[Step]:
     """Solve at growing loads and yield each converged step.
@@ -62,6 +64,8 @@ def march(
         start: load of the problem's present state, default the constant's value, or 0 for a function.
         solver: default a new :class:`~dolfinx_mortar_al.newton.NewtonSolver`.
         smallest: increment, relative to the asked-for one, below which the march gives up.
+        until: an event of the converged state, the same on every rank, such as ``pair.reaches_end``. The march ends with
+            the first step where it holds, after closing in on it down to EVENT of an increment.
         progress: show a progress bar with load, iterations and contact state (rank 0, standard error).
 
     Raises:
@@ -88,7 +92,7 @@ def march(
     past.add(current)
     bar = _Bar(problem, begin, to) if progress else None
     clock = perf_counter()
-    number = 1
+    number, closing_in = 1, False
     while number <= increments:
         mark = begin + number * asked
         nominal = abs(current + increment - mark) < 1e-9 * abs(asked) or abs(increment) >= abs(mark - current)
@@ -105,15 +109,21 @@ def march(
                 bar.rejected(trial, result.message)
             if abs(increment) < smallest * abs(asked):
                 set_load(current)
+                problem.evaluate()
                 raise StepFailure(
                     f"no convergence at load {trial:.6g} with the smallest increment {2 * increment:.3g}: {result.message}; "
                     f"the steps up to load {current:.6g} are converged"
                 )
             continue
+        happened = until is not None and until()
+        if happened and abs(trial - current) > EVENT * abs(asked):
+            past.restore()
+            increment, closing_in = (trial - current) / 2, True
+            continue
         problem.commit()
         current = trial
         past.add(current)
-        if result.iterations <= EASY:
+        if result.iterations <= EASY and not closing_in:
             increment = float(np.sign(asked)) * min(2 * abs(increment), abs(asked))
         step = Step(current, iterations, rejected, perf_counter() - clock, nominal)
         if bar is not None:
@@ -121,6 +131,8 @@ def march(
         number += int(nominal)
         rejected, iterations = 0, 0
         yield step
+        if happened:
+            break
         clock = perf_counter()
     if bar is not None:
         bar.bar.close()

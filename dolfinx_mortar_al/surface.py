@@ -284,6 +284,14 @@ class GatheredFacets:
         return (count[inverse.ravel()] == 1).reshape(sides.shape[:2])
 
     @cached_property
+    def end_nodes(self) -> NDArray[np.bool_]:
+        """(n,) whether a node lies on an end of the surface."""
+        flag = np.zeros(len(self.blocks), dtype=bool)
+        for k, side in enumerate(self.shape.sides):
+            flag[self.facets[self.boundary_sides[:, k]][:, side]] = True
+        return flag
+
+    @cached_property
     def neighbours(self) -> Index:
         """(nf, k) the facets that share a side with each, itself first and in place of neighbours it does not have."""
         sides = np.concatenate([np.sort(self.facets[:, s], axis=1) for s in self.shape.sides])

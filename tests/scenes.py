@@ -7,7 +7,6 @@ from dolfinx.mesh import compute_midpoints, locate_entities_boundary, meshtags
 from mpi4py import MPI
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials
-from dolfinx_mortar_al.contact import prescribed_components
 from meshes.two_beams import CLAMP, LOWER_TOP, TIP, UPPER_BOTTOM, TwoBeams
 
 E, NU = 2e6, 0.3
@@ -82,7 +81,7 @@ def set_field(problem, displacement, multiplier=None, clamped=True):
     problem.u.x.array[:] = displacement(X).ravel()
     for pair in problem.pairs:
         if clamped:
-            problem.u.x.array[prescribed_components(problem.bodies.bodies[0]).x.array > 0] = 0.0
+            problem.u.x.array[problem.bodies.bodies[0].prescribed().x.array > 0] = 0.0
         if multiplier is not None:
             Q = pair.multiplier.field
             values = multiplier(Q.function_space.tabulate_dof_coordinates()[:, :d])
