@@ -1,6 +1,6 @@
 """Frictional contact under large deformation for FEniCSx: the mixed augmented-Lagrangian form of Le van and Nguyen."""
 
-from dolfinx_mortar_al import loads, materials, output, quasistatic
+from dolfinx_mortar_al import loads, materials, membrane, monitors, output, quasistatic
 from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.meshfile import read_msh
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
@@ -16,6 +16,8 @@ __all__ = [
     "Surface",
     "loads",
     "materials",
+    "membrane",
+    "monitors",
     "output",
     "quasistatic",
     "read_msh",

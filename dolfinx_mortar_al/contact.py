@@ -243,7 +243,13 @@ class ContactPair:
     def begin(self) -> None:
         """A new solve: points may choose their target facets again, and gaps are trusted as at first."""
         self.patience, self._guess = PATIENCE, self.fresh
-        self._returns = np.zeros(len(self.facet_of_point), dtype=np.int64)
+        self._choose_facets()
+        self._released = False
+
+    def _choose_facets(self) -> None:
+        """Let all points choose their target facets."""
+        self._returns: Index = np.zeros(len(self.facet_of_point), dtype=np.int64)
+        self._left: Index
         self._left, self._held = self._returns - 1, self._returns > 0
 
     def positions(self) -> tuple[Array, Array]:
@@ -310,7 +316,8 @@ class ContactPair:
         own = V.dofmap.index_map.local_to_global(self.facets.dofs.ravel()).reshape(self.facets.dofs.shape)
         weight = np.einsum("qa,fa->fq", self.N, np.isin(own, ends))
         nearest = weight.max(axis=1, keepdims=True, initial=0.0)
-        return ((nearest > 0.5) & (weight >= nearest - 1e-9)).ravel()
+        nearest_points: NDArray[np.bool_] = (nearest > 0.5) & (weight >= nearest - 1e-9)
+        return nearest_points.ravel()
 
     def relative_motion(self) -> float:
         """How far the present displacements have moved closed points over the target since the last evaluation, in
@@ -321,6 +328,15 @@ class ContactPair:
         )
         size = np.linalg.norm(x - self._x - moved, axis=1)[self.state.status != OPEN]
         return self.comm.allreduce(float(size.max(initial=0.0)), MPI.MAX) / self.target.size_of_facets
+
+    def release_held(self) -> bool:
+        """Let points that were held to a target facet choose again, once in a solve; whether there were any
+        (collective)."""
+        if self._released or not self.comm.allreduce(bool(self._held.any()), MPI.LOR):
+            return False
+        self._choose_facets()
+        self._released = True
+        return True
 
     def violation(self) -> float:
         """Largest |λ̂_N| (Pa) at a point held closed against λ̂_N < 0 or open against λ̂_N > 0, over what round-off
@@ -504,6 +520,17 @@ class ContactPair:
         nf, nq = self.j.shape
         size = (self.j * np.linalg.norm(self.state.t, axis=1).reshape(nf, nq)) @ np.abs(self.N)
         return float(np.sqrt(self.comm.allreduce(float(np.sum(size**2)))))
+
+    def largest_pressure(self) -> float:
+        """Largest nominal contact pressure at a Gauss point (Pa), collective."""
+        return float(self.comm.allreduce(float(self.state.p.max(initial=0.0)), MPI.MAX))
+
+    def contact_area(self) -> float:
+        """Current area of the closed part of the contactor (m²; length × thickness in the plane), collective."""
+        current = np.linalg.norm(self._contactor_normal(self.facets.X + self._at_contactor(self._body1.u)), axis=2)
+        reference = np.linalg.norm(self._contactor_normal(self.facets.X), axis=2)
+        closed = (self.state.status != OPEN).reshape(self.j.shape)
+        return float(self.comm.allreduce(float((self.j * current / reference)[closed].sum())))
 
     def closed_fraction(self) -> float:
         """Closed part of the contactor's reference area, collective."""

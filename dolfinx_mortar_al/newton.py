@@ -7,15 +7,19 @@ Options reach SNES, KSP and PC from the command line under the solver's prefix (
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter
 
 import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.problem import ContactProblem
 
-__all__ = ["NewtonResult", "NewtonSolver"]
+__all__ = ["Load", "NewtonResult", "NewtonSolver", "Path"]
 
 _Reason = PETSc.SNES.ConvergedReason
 
@@ -23,7 +27,7 @@ FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane'
 LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, as a share of the largest pressure
 LONGEST = 1.0  # target facets that a closed point may move over the target in one iteration
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
-HOPELESS_AFTER, HOPELESS = 12, 0.1  # as it is when five iterations in a row have relative residuals above this
+HOPELESS_AFTER, HOPELESS = 16, 0.1  # as it is when five iterations in a row have relative residuals above this
 
 
 @dataclass
@@ -34,6 +38,45 @@ class NewtonResult:
     iterations: int = 0
     message: str = ""
     norms: list[list[float]] = field(default_factory=list)
+
+
+class Load:
+    """The load parameter: its value, and how the problem learns of it."""
+
+    def __init__(self, value: float, set_: Callable[[float], None]) -> None:
+        self._value, self._set = value, set_
+
+    @classmethod
+    def of(cls, load: fem.Constant | Callable[[float], None], start: float | None = None) -> Load:
+        """From a UFL constant, or from a function that sets what depends on the load (`start`: its present value)."""
+        if isinstance(load, fem.Constant):
+            return cls(float(load.value) if start is None else start, lambda value: setattr(load, "value", value))
+        return cls(0.0 if start is None else start, load)
+
+    @property
+    def value(self) -> float:
+        return self._value
+
+    @value.setter
+    def value(self, value: float) -> None:
+        self._value = value
+        self._set(value)
+
+    def set(self, value: float) -> None:
+        """The same as a function."""
+        self.value = value
+
+
+@dataclass
+class Path:
+    """A solve with the load as an unknown: corrections of the displacements stay normal to `direction` (owned dofs,).
+
+    `difference` is the load difference that ∂R/∂(load) is taken with.
+    """
+
+    load: Load
+    direction: NDArray[np.float64]
+    difference: float
 
 
 def _read_command_line(prefix: str) -> None:
@@ -83,9 +126,12 @@ class NewtonSolver:
         snes.setFromOptions()
         self.snes = snes
 
-    def solve(self) -> NewtonResult:
-        """Solve from the problem's present state; on failure the state is the last trial's, to be restored."""
-        p = self.problem
+    def solve(self, path: Path | None = None) -> NewtonResult:
+        """Solve from the problem's present state; on failure the state is the last trial's, to be restored.
+
+        With `path` the load is an unknown too, and the present displacements are the prediction of the path.
+        """
+        p, self._path = self.problem, path
         self.result = NewtonResult()
         self._patterns: list[int] = []
         self._cycles, self._damping = 0, 1.0
@@ -120,7 +166,7 @@ class NewtonSolver:
         self._linear_start = perf_counter()
 
     def _fictitious_tension(self) -> float:
-        """For a start without stiffness, such as a flat membrane: a tension in the Jacobian only, that goes with the residual.
+        """For a start without stiffness, such as a flat membrane: a tension in the Jacobian only.
 
         It is counted in shares of the stiffness and multiplied by the relative residual, so that it is gone at
         convergence; as Newton makes progress it shrinks faster, and grows back where it does not.
@@ -138,7 +184,8 @@ class NewtonSolver:
             self.result.message = "the residual is not a number"
             return _Reason.DIVERGED_FNORM_NAN
         if max(ratio) <= 1.0 and all(pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs):
-            return _Reason.CONVERGED_FNORM_ABS
+            # points may have been held on the way for nothing: converged is what converges again without
+            return None if any([pair.release_held() for pair in self.problem.pairs]) else _Reason.CONVERGED_FNORM_ABS
         recent = [max(norms) * self.rtol for norms in self.result.norms[-5:]]
         if iteration >= snes.getTolerances()[3] or (iteration >= HOPELESS_AFTER and min(recent) > HOPELESS):
             return _Reason.DIVERGED_MAX_IT  # a long walk of the contact's edge, one facet at a time, may go on
@@ -174,6 +221,7 @@ class NewtonSolver:
         """Shorten the step x ← x − y until no cell is inverted and no closed point slides too far."""
         p = self.problem
         p.stopwatch.add("linear solve", perf_counter() - self._linear_start)
+        change = self._change_load(x, y) if self._path is not None else 0.0
         length = self._damping
         with p.stopwatch("guard"):
             xu, yu = x.getNestSubVecs()[0], y.getNestSubVecs()[0]
@@ -185,9 +233,34 @@ class NewtonSolver:
                 if p.inverted_volume() <= 0:
                     break
                 length /= 2
+        if self._path is not None:
+            self._path.load.value += length * change
         if length < 1.0:
             y.scale(length)
-        return length < 1.0
+        return length < 1.0 or self._path is not None
+
+    def _change_load(self, x: PETSc.Vec, y: PETSc.Vec) -> float:
+        """The change of load that keeps the step x ← x − y on the path's plane; y is changed with it.
+
+        With y = 𝐊⁻¹𝐑 and z = 𝐊⁻¹ ∂𝐑/∂λ the step is −(y + Δλ z), and 𝐝·(y + Δλ z) = 0 gives Δλ.
+        """
+        p, path = self.problem, self._path
+        assert path is not None
+        there, here = p.residual.duplicate(), p.residual.duplicate()
+        there.set(0.0)
+        λ, δ = path.load.value, path.difference
+        p.bodies.residual(here.getNestSubVecs()[0])
+        path.load.value = λ + δ
+        p.bodies.residual(there.getNestSubVecs()[0])
+        path.load.value = λ
+        right, z = there.getNestSubVecs()[0], y.duplicate()
+        right.axpy(-1.0, here.getNestSubVecs()[0])
+        right.scale(1.0 / δ)
+        self.snes.getKSP().solve(there, z)
+        along = [path.direction @ v.getNestSubVecs()[0].array_r for v in (y, z)]
+        dy, dz = (p.comm.allreduce(float(a), MPI.SUM) for a in along)
+        y.axpy(-dy / dz, z)
+        return -dy / dz
 
     def _failure(self, reason: int) -> str:
         last = self.result.norms[-1] if self.result.norms else []

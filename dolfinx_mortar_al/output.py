@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.contact import ContactPair
 from dolfinx_mortar_al.problem import ContactProblem
 
-__all__ = ["History", "ParaView", "Profile", "contact_profile", "deformed_cells", "probe", "summary"]
+__all__ = ["History", "ParaView", "Profile", "contact_profile", "deformed_cells", "extent", "probe", "summary"]
 
 Array = NDArray[np.float64]
 
@@ -142,17 +142,30 @@ def probe(u: fem.Function, X: Sequence[float], cells: NDArray[np.int32] | None =
 
 
 def deformed_cells(u: fem.Function) -> Array | None:
-    """(cells, corners, gdim) current corners of all two-dimensional cells in drawing order, on rank 0 (else None)."""
-    mesh = u.function_space.mesh
-    V = u.function_space
-    cells = mesh.topology.index_map(mesh.topology.dim).size_local
-    corners = 3 if mesh.topology.cell_name() == "triangle" else 4
-    dofs = V.dofmap.list[:cells, :corners]
-    if corners == 4:
-        dofs = dofs[:, [0, 1, 3, 2]]
-    x = V.tabulate_dof_coordinates()[:, : mesh.geometry.dim] + u.x.array.reshape(-1, V.dofmap.index_map_bs)
-    gathered = mesh.comm.gather(x[dofs], root=0)
+    """(cells, points, gdim) current outlines of all cells in drawing order, on rank 0 (else None): the corners of
+    two-dimensional cells, all nodes along the cells of a curve."""
+    V, mesh = u.function_space, u.function_space.mesh
+    order = {"interval": [0, *range(2, V.element.basix_element.dim), 1], "triangle": [0, 1, 2]}.get(
+        mesh.topology.cell_name(), [0, 1, 3, 2]
+    )
+    dofs = V.dofmap.list[: mesh.topology.index_map(mesh.topology.dim).size_local, order]
+    gathered = mesh.comm.gather(_current(u)[dofs], root=0)
     return np.concatenate(gathered) if gathered is not None else None
+
+
+def extent(u: fem.Function, cells: NDArray[np.int32]) -> tuple[Array, Array]:
+    """Lower and upper corner (gdim,) of the box around the deformed nodes of `cells` (this rank's), on every rank."""
+    V = u.function_space
+    x = _current(u)[V.dofmap.list[cells].ravel()]
+    low = np.min(V.mesh.comm.allgather(x.min(axis=0, initial=np.inf)), axis=0)
+    return low, np.max(V.mesh.comm.allgather(x.max(axis=0, initial=-np.inf)), axis=0)
+
+
+def _current(u: fem.Function) -> Array:
+    """(nodes, gdim) current positions of this rank's nodes."""
+    V = u.function_space
+    X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
+    return np.asarray(X + u.x.array.reshape(-1, V.dofmap.index_map_bs))
 
 
 @dataclass

@@ -20,6 +20,7 @@ from petsc4py import PETSc
 
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.contact import Contact, ContactPair
+from dolfinx_mortar_al.monitors import Finding, Monitor
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector, matrix_with_pattern
 from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.stopwatch import Stopwatch
@@ -49,6 +50,7 @@ class ContactProblem:
             meshes, such as a membrane and a bulk body, have a displacement each.
         bcs: Dirichlet conditions on u.
         contacts: the pairs.
+        monitors: looked at in every converged state, such as :func:`~dolfinx_mortar_al.monitors.wrinkling`.
         jacobian: UFL bilinear form (or one per displacement), default the derivative of F in the direction of u.
 
     Raises:
@@ -63,10 +65,11 @@ class ContactProblem:
         *,
         bcs: Sequence[fem.DirichletBC] = (),
         contacts: Sequence[Contact] = (),
+        monitors: Sequence[Monitor] = (),
         jacobian: Any = None,
     ) -> None:
         self.stopwatch = Stopwatch()
-        self.u = u
+        self.u, self.monitors = u, list(monitors)
         with self.stopwatch("forms"):
             if isinstance(u, fem.Function):
                 self.bodies = Bodies([F], [u], bcs, None if jacobian is None else [jacobian])
@@ -217,6 +220,10 @@ class ContactProblem:
                     if block is not None:
                         block.assemble()
             self.matrix.assemble()
+
+    def findings(self) -> list[Finding]:
+        """What the monitors find below their bounds in the present state (collective)."""
+        return [finding for monitor in self.monitors if (finding := monitor.look()) is not None]
 
     def evaluate(self) -> None:
         """Bring the pairs' contact state, and all that is reported of it, up to date with the displacements."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from time import perf_counter
@@ -12,15 +13,20 @@ from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.newton import NewtonSolver
+from dolfinx_mortar_al.monitors import Finding
+from dolfinx_mortar_al.newton import Load, NewtonSolver, Path
 from dolfinx_mortar_al.problem import ContactProblem, State
 
-__all__ = ["Step", "StepFailure", "march"]
+__all__ = ["ModelWarning", "Step", "StepFailure", "follow", "march"]
 
 MAX_ORDER = 4  # of the predictor's polynomial
 MAX_ORDER_WITH_FRICTION = 1  # slip makes a history of kinks: measured, docs/newton.md
 EVENT = 2.0**-6  # of an asked-for increment: how closely an event is met
 EASY = 8  # Newton iterations up to which an increment that was cut may grow again
+
+
+class ModelWarning(UserWarning):
+    """A converged state is outside of what the model can show; see :mod:`~dolfinx_mortar_al.monitors`."""
 
 
 class StepFailure(RuntimeError):
@@ -29,14 +35,16 @@ class StepFailure(RuntimeError):
 
 @dataclass(frozen=True)
 class Step:
-    """A converged step: load, Newton iterations (rejected trials included), rejected trials, wall time (s), and whether
-    the load is one of the asked-for increments (not a step between them after a cut)."""
+    """A converged step: load, Newton iterations (rejected trials included), rejected trials, wall time (s), whether
+    the load is one of the asked-for increments (not a step between them after a cut), and what the monitors found below
+    their bounds."""
 
     load: float
     iterations: int
     rejected: int
     wall_time: float
     nominal: bool
+    findings: tuple[Finding, ...] = ()
 
 
 def march(
@@ -74,68 +82,163 @@ def march(
     """
     if increments < 1:
         raise ValueError(f"increments = {increments}: at least one load increment is needed")
-    begin = start if start is not None else float(load.value) if isinstance(load, fem.Constant) else 0.0
-
-    def set_load(value: float) -> None:
-        if isinstance(load, fem.Constant):
-            load.value = value
-        else:
-            load(value)
-
+    parameter = Load.of(load, start)
+    begin = parameter.value
     if not np.isfinite(to) or to == begin:
         raise ValueError(f"to = {to}: the load must move away from its present value {begin}")
-
-    solver = NewtonSolver(problem) if solver is None else solver
     asked = (to - begin) / increments
-    current, increment, rejected, iterations = begin, asked, 0, 0
-    past = _Past(problem)
-    past.add(current)
-    bar = _Bar(problem, begin, to) if progress else None
-    clock = perf_counter()
-    number, closing_in = 1, False
+    stepper = _Stepper(problem, parameter, solver, _Bar(problem, begin, to) if progress else None)
+    stepper.past.add(begin)
+    increment, number, closing_in = asked, 1, False
     while number <= increments:
-        mark = begin + number * asked
+        current, mark = parameter.value, begin + number * asked
         nominal = abs(current + increment - mark) < 1e-9 * abs(asked) or abs(increment) >= abs(mark - current)
         trial = mark if nominal else current + increment
-        set_load(trial)
-        past.predict(trial)
-        result = solver.solve()
-        iterations += result.iterations
-        if not result.converged:
-            past.restore()
-            rejected += 1
+        stepper.past.predict(trial)
+        parameter.value = trial
+        if not stepper.solve():
             increment = (trial - current) / 2
-            if bar is not None:
-                bar.rejected(trial, result.message)
-            if abs(increment) < smallest * abs(asked):
-                set_load(current)
-                problem.evaluate()
-                raise StepFailure(
-                    f"no convergence at load {trial:.6g} with the smallest increment {2 * increment:.3g}: {result.message}; "
-                    f"the steps up to load {current:.6g} are converged"
-                )
+            stepper.undo(current, hopeless=abs(increment) < smallest * abs(asked))
             continue
         happened = until is not None and until()
         if happened and abs(trial - current) > EVENT * abs(asked):
-            past.restore()
-            increment, closing_in = (trial - current) / 2, True
+            stepper.past.restore()
+            increment, closing_in, parameter.value = (trial - current) / 2, True, current
             continue
-        problem.commit()
-        current = trial
-        past.add(current)
-        if result.iterations <= EASY and not closing_in:
+        if stepper.easy and not closing_in:
             increment = float(np.sign(asked)) * min(2 * abs(increment), abs(asked))
-        step = Step(current, iterations, rejected, perf_counter() - clock, nominal)
-        if bar is not None:
-            bar.show(step)
         number += int(nominal)
-        rejected, iterations = 0, 0
-        yield step
+        yield stepper.accept(trial, nominal)
         if happened:
             break
-        clock = perf_counter()
-    if bar is not None:
-        bar.bar.close()
+    stepper.close()
+
+
+def follow(
+    problem: ContactProblem,
+    load: fem.Constant | Callable[[float], None],
+    *,
+    first: float,
+    length: float,
+    steps: int,
+    start: float | None = None,
+    solver: NewtonSolver | None = None,
+    smallest: float = 2.0**-10,
+    until: Callable[[], bool] | None = None,
+) -> Iterator[Step]:
+    """Follow the equilibrium path by its length, the load being an unknown, past limit points where the load turns.
+
+    After a first step under load control, each step moves on along the line through the last two states and corrects in
+    the plane normal to it (Riks' method; the displacements alone make the norm). Contact and friction are as in `march`.
+
+    Args:
+        problem, load, start, solver: as in :func:`march`.
+        first: load increment of the first step, which gives the path its direction.
+        length: of a step: the largest displacement of a node in its prediction (m).
+        steps: how many steps to take after the first.
+        smallest: length, relative to the asked-for one, below which the march gives up.
+        until: an event of the converged state that ends the path, the same on every rank.
+
+    Raises:
+        ValueError: `steps` < 1, or a first load or a length of zero.
+        StepFailure: on every rank.
+    """
+    if steps < 1 or not length > 0 or first == 0.0:
+        raise ValueError(f"steps = {steps}, length = {length}, first = {first}: need steps ≥ 1, length > 0, first ≠ 0")
+    parameter = Load.of(load, start)
+    stepper = _Stepper(problem, parameter, solver, None)
+    states = [(parameter.value, problem.bodies.get())]
+    yield from march(
+        problem, parameter.set, to=parameter.value + first, increments=1, start=parameter.value, solver=stepper.solver
+    )
+    states.append((parameter.value, problem.bodies.get()))
+    s = [0.0, _largest(problem, states[1][1] - states[0][1])]  # path length, the abscissa of the predictor
+    stepper.past.add(s[1])
+    step_length, taken = length, 0
+    while taken < steps:
+        (λ0, u0), (λ1, u1) = states
+        share = step_length / (s[1] - s[0])
+        stepper.past.restore()
+        direction = u1 - u0
+        problem.bodies.set(u1 + share * direction)
+        parameter.value = λ1 + share * (λ1 - λ0)
+        if not stepper.solve(Path(parameter, direction, 1e-3 * first)):
+            step_length /= 2
+            stepper.undo(λ1, hopeless=step_length < smallest * length)
+            continue
+        states = [(λ1, u1), (parameter.value, problem.bodies.get())]
+        s = [s[1], s[1] + _largest(problem, states[1][1] - u1)]
+        step_length = min(2 * step_length, length) if stepper.easy else step_length
+        taken += 1
+        yield stepper.accept(s[1], nominal=True)
+        if until is not None and until():
+            break
+
+
+def _largest(problem: ContactProblem, u: NDArray[np.float64]) -> float:
+    """Largest displacement of a node (m), collective."""
+    nodal = np.linalg.norm(u.reshape(-1, problem.gdim), axis=1)
+    return float(problem.comm.allreduce(float(nodal.max(initial=0.0)), MPI.MAX))
+
+
+class _Stepper:
+    """What every way of stepping shares: solve, then accept with its bookkeeping or undo."""
+
+    def __init__(self, problem: ContactProblem, load: Load, solver: NewtonSolver | None, bar: _Bar | None) -> None:
+        self.problem, self.load, self.bar = problem, load, bar
+        self.solver = NewtonSolver(problem) if solver is None else solver
+        self.past = _Past(problem)
+        self.rejected = self.iterations = 0
+        self.easy = False
+        self._reported: set[str] = set()
+        self._clock = perf_counter()
+
+    def solve(self, path: Path | None = None) -> bool:
+        """Newton from the present prediction; a fatal finding of a monitor counts as a failure."""
+        result = self.solver.solve(path)
+        self.iterations += result.iterations
+        self.easy, self._message = result.iterations <= EASY, result.message
+        self._findings = self.problem.findings() if result.converged else []
+        fatal = [str(f) for f in self._findings if f.fatal]
+        if fatal:
+            self._message = "; ".join(fatal)
+        return result.converged and not fatal
+
+    def accept(self, abscissa: float, nominal: bool) -> Step:
+        """The step is final: it becomes the origin of the next one."""
+        self.problem.commit()
+        self.past.add(abscissa)
+        seconds = perf_counter() - self._clock
+        step = Step(self.load.value, self.iterations, self.rejected, seconds, nominal, tuple(self._findings))
+        self._report(step)
+        self.rejected, self.iterations, self._clock = 0, 0, perf_counter()
+        return step
+
+    def undo(self, load: float, hopeless: bool) -> None:
+        """Back to the last converged state at `load`; `hopeless` ends the run with the reason of the failure."""
+        failed, self.load.value = self.load.value, load
+        self.past.restore()
+        self.rejected += 1
+        if self.bar is not None:
+            self.bar.rejected(failed, self._message)
+        if hopeless:
+            self.problem.evaluate()
+            raise StepFailure(
+                f"no convergence at load {failed:.6g} with the smallest step: {self._message}; "
+                f"the steps up to load {load:.6g} are converged"
+            )
+
+    def _report(self, step: Step) -> None:
+        if self.bar is not None:
+            self.bar.show(step)
+        for finding in step.findings:  # each once, on rank 0; the step has them all
+            if finding.name not in self._reported and self.problem.comm.rank == 0:
+                warnings.warn(f"at load {step.load:.6g}: {finding}", ModelWarning, stacklevel=4)
+            self._reported.add(finding.name)
+
+    def close(self) -> None:
+        if self.bar is not None:
+            self.bar.bar.close()
 
 
 class _Past:

@@ -174,7 +174,7 @@ class Facets:
         if surface.is_membrane:
             shape = ShapeFunctions(cell, element.degree)
             cells, closure = entities, _facet_nodes(element, shape, [list(range(len(basix.geometry(cell))))])
-            local = np.zeros(len(cells), dtype=np.int64)
+            local: Any = np.zeros(len(cells), dtype=np.int64)
         else:
             facet_vertices = basix.topology(cell)[surface.mesh.topology.dim - 1]
             shape = ShapeFunctions(basix.cell.subentity_types(cell)[surface.mesh.topology.dim - 1][0], element.degree)

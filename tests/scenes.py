@@ -74,7 +74,7 @@ def blocks(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, pressure=0.0, dim=2, t
 
 
 def set_field(problem, displacement, multiplier=None, clamped=True):
-    """u = displacement(X) with X (n, gdim), zero where prescribed if `clamped`, and Λ = multiplier(X); then evaluate the contact."""
+    """u = displacement(X) with X (n, gdim), zero where prescribed if `clamped`, and Λ = multiplier(X)."""
     V = problem.u.function_space
     d = problem.gdim
     X = V.tabulate_dof_coordinates()[:, :d]

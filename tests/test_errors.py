@@ -160,8 +160,8 @@ class _GivesUpLater(NewtonSolver):
         super().__init__(problem)
         self.load = load
 
-    def solve(self):
-        result = super().solve()
+    def solve(self, path=None):
+        result = super().solve(path)
         result.converged &= float(self.load.value) <= 2.0
         return result
 

@@ -1,0 +1,164 @@
+"""Two membranes inflated against each other (section 4.2 and figure 2), beside the exact solution.
+
+It illustrates membranes, follower pressure, contact of two curves, a march that ends at an event, and monitors. Two flat,
+unstressed neo-Hookean membranes of thickness h face each other; a pressure p drives each towards the other:
+
+    Σ ∫ h P(u) : ∇v dA − ∫ p n(u)·v da − ∫ t·(v₁ − v₂∘η) dS₀ = 0.
+
+A flat membrane has no stiffness across itself; the solver sees this and helps the first step with a fictitious tension that
+is gone at convergence. In the contact zone both membranes are straight and the traction is p. The branch ends ("lock") when
+the line of contact reaches the fixed edges: with μ = 0.5 at 4670.9 Pa, so that the printed 5420 Pa needs a smaller shift.
+
+    ./run python3 demos/two_membranes.py
+    ./run python3 demos/two_membranes.py --friction 0.5 --shift 0.5 --pressure 5420
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, membrane, monitors, output, quasistatic
+from exact.two_membranes import TwoMembranes as Exact
+from meshes.two_membranes import EDGE, LOWER, UPPER, TwoMembranes
+
+CASES = [
+    (0.0, 1.0, 4023.0),
+    (0.5, 1.0, 5420.0),
+    (0.5, 0.5, 5420.0),
+]  # friction, shift, pressure: as printed, and possible
+COLUMNS = [
+    "pressure", "mid_ux", "mid_uy", "max_height", "contact_length", "max_multiplier", "stretch_min", "stretch_max",
+    "newton_iterations", "wall_time",
+]  # fmt: skip
+
+
+def options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--friction", type=float, help="Coulomb's μ; without any of the first three options: all cases of figure 2")
+    add("--shift", type=float, help="of the upper membrane along x in m (1 as printed)")
+    add("--pressure", type=float, help="final pressure in Pa (5420)")
+    add("--increments", type=int, default=20, help="pressure steps (%(default)s)")
+    add("--cells", type=int, nargs=2, default=(160, 160), help="of the lower and the upper membrane (%(default)s)")
+    add("--order", type=int, default=2, choices=(1, 2), help="of the displacement (%(default)s)")
+    add("--dim", type=int, default=2, choices=(2, 3), help="curves, or square membranes fixed all round (%(default)s)")
+    add("--through", type=int, default=8, help="cells over the width with --dim 3 (%(default)s)")
+    add("--swap", action="store_true", help="make the lower membrane the contactor")
+    add("--output", type=Path, default=Path("results/two_membranes"), help="folder for the results (%(default)s)")
+    add("--no-figure", action="store_true", help="skip figure2.png")
+    add("--paraview", action="store_true", help="write .bp series")
+    return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
+
+
+def simulate(args: argparse.Namespace, case: tuple[float, float, float], directory: Path) -> tuple:
+    """One pressure history: (history, deformed curves and contact profile on rank 0)."""
+    friction, shift, pressure = case
+    built = TwoMembranes(shift=shift, cells=tuple(args.cells), through=args.through, dim=args.dim)
+    mesh, cell_tags, edge_tags = built.create()
+    V = fem.functionspace(mesh, ("Lagrange", args.order, (args.dim,)))
+    u, p = fem.Function(V), fem.Constant(mesh, 0.0)
+
+    # the side of each membrane that faces the other, where contact is, and where the pressure pushes
+    up = [0.0, 1.0, 0.0][: args.dim]
+    down = [-x for x in up]
+    dx = ufl.Measure("dx", mesh, subdomain_data=cell_tags)
+    sheet = membrane.neo_hookean_membrane(E=2e6, nu=0.3, thickness=1e-3)
+    F = sheet.virtual_work(u, dx=dx)
+    F -= loads.membrane_pressure(u, p, up, dx(LOWER)) + loads.membrane_pressure(u, p, down, dx(UPPER))
+    fixed = fem.locate_dofs_topological(V, args.dim - 2, edge_tags.find(EDGE))
+    bcs = [fem.dirichletbc(np.zeros(args.dim), fixed, V)]
+
+    sides = [Surface(mesh, cell_tags, UPPER, side=down), Surface(mesh, cell_tags, LOWER, side=up)]
+    contactor, target = reversed(sides) if args.swap else sides
+    problem = ContactProblem(
+        F, u, bcs=bcs, contacts=[Contact(contactor, target, friction=friction)],
+        monitors=[monitors.wrinkling(sheet, u)],
+    )  # fmt: skip
+    pair = problem.pairs[0]
+
+    least, *others = membrane.principal_stretches(u)
+    stretches = [monitors.Monitor("stretch", s, u, bound=0.0, meaning="") for s in (least, *others)]
+    middle = [built.length / 2, 0.0] + [built.width / 2] * (args.dim - 2)
+    history = output.History(problem, directory, COLUMNS)
+    paraview = output.ParaView(problem, directory) if args.paraview else None
+    rejected, end = 0, f"the pressure of {pressure:g} Pa is reached"
+    try:
+        for step in quasistatic.march(
+            problem, p, to=pressure, increments=args.increments, until=pair.reaches_end, progress=True
+        ):
+            mid = output.probe(u, middle, cell_tags.find(LOWER))
+            history.add(
+                pressure=step.load, mid_ux=mid[0], mid_uy=mid[1], contact_length=pair.contact_area(),
+                max_height=output.extent(u, cell_tags.find(LOWER))[1][1], max_multiplier=pair.largest_pressure(),
+                stretch_min=stretches[0].range()[0], stretch_max=stretches[-1].range()[1],
+                newton_iterations=step.iterations, wall_time=step.wall_time,
+            )  # fmt: skip
+            rejected += step.rejected
+            if paraview:
+                paraview.write(step.load)
+        if pair.reaches_end():
+            end = f"the line of contact reaches the fixed edges at {step.load:.6g} Pa: the membranes lock"
+    except quasistatic.StepFailure as failure:
+        end = str(failure)
+    if MPI.COMM_WORLD.rank == 0:
+        print(f"μ = {friction:g}, shift {shift:g} m: {end}")
+    parameters = vars(args) | {"friction": friction, "shift": shift, "pressure": pressure, "end": end}
+    output.summary(problem, history, directory, parameters, rejected)
+    return history, output.deformed_cells(u) if args.dim == 2 else None, output.contact_profile(problem, pair)
+
+
+def draw(results: dict[tuple[float, float, float], tuple], directory: Path) -> None:
+    """Figure 2: deformed membranes with their contact tractions, and the midpoint's deflection against the pressure."""
+    import matplotlib.pyplot as plt
+    from matplotlib.collections import LineCollection
+
+    figure, axes = plt.subplots(1, len(results) + 1, figsize=(4.6 * (len(results) + 1), 4.4), layout="constrained")
+    for axis, (case, (history, curves, contact)), colour in zip(
+        axes, results.items(), ("C0", "C1", "C2"), strict=False
+    ):
+        friction, shift, _ = case
+        if curves is not None:
+            axis.add_collection(LineCollection(curves, color="0.3", linewidth=1.2))
+        arrows = 0.25 * contact.traction / max(np.linalg.norm(contact.traction, axis=1).max(initial=0.0), 1e-300)
+        closed = np.flatnonzero(contact.pressure > 0)[::3]
+        axis.quiver(
+            *contact.x[closed, :2].T, *arrows[closed, :2].T, color="tab:red", width=3e-3, scale=1, scale_units="xy"
+        )
+        axis.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+        axis.autoscale()
+        reached = history.column("pressure")[-1]
+        axis.set_title(f"μ = {friction:g}, shift {shift:g} m, p = {reached:.0f} Pa", fontsize=10)
+        label = f"μ = {friction:g}, shift {shift:g} m"
+        axes[-1].plot(
+            np.r_[0, history.column("pressure")], np.r_[0, history.column("mid_uy")], ".", c=colour, label=label
+        )
+        try:
+            exact = Exact(friction=friction, shift=shift)
+            p = np.linspace(100.0, min(reached, exact.lock_pressure()), 200)
+            axes[-1].plot(
+                p, [exact.state(q).midpoint_displacement[1] for q in p], "-", c=colour, label=f"exact, {label}"
+            )
+        except ValueError:
+            pass  # with a core that sticks there is no closed solution
+    axes[-1].set(xlabel="p (Pa)", ylabel="deflection of the lower midpoint (m)")
+    axes[-1].legend(fontsize=8)
+    figure.savefig(directory / "figure2.png", dpi=150)
+
+
+if __name__ == "__main__":
+    args = options()
+    one = (args.friction, args.shift, args.pressure)
+    given = tuple(d if x is None else x for x, d in zip(one, CASES[1], strict=True))
+    cases = CASES if one == (None, None, None) else [given]
+    results = {}
+    for case in cases:
+        folder = args.output if len(cases) == 1 else args.output / f"friction_{case[0]:g}_shift_{case[1]:g}"
+        results[case] = simulate(args, case, folder)
+    if MPI.COMM_WORLD.rank == 0 and not args.no_figure:
+        draw(results, args.output)

@@ -1,0 +1,93 @@
+"""Monitors: what the user wants watched at the Gauss points, such as tension of a membrane or det 𝐅.
+
+A monitor is a UFL scalar with a lower bound. Where a converged state falls below it the run says so, with the value and the
+place, and goes on or stops.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import ufl
+from basix import make_quadrature
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.materials import deformation_gradient
+from dolfinx_mortar_al.membrane import NeoHookeanMembrane
+
+__all__ = ["Finding", "Monitor", "inversion", "wrinkling"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The least value of a monitored quantity, below its bound; where (reference position, m); what it means."""
+
+    name: str
+    value: float
+    X: tuple[float, ...]
+    meaning: str
+    fatal: bool
+
+    def __str__(self) -> str:
+        place = ", ".join(f"{x:.4g}" for x in self.X)
+        return f"{self.name} = {self.value:.4g} at X = ({place}): {self.meaning}"
+
+
+class Monitor:
+    """Watches a UFL scalar of the displacement u at the cells' Gauss points.
+
+    Args:
+        name: of the quantity, with its unit.
+        quantity: UFL scalar.
+        u: the displacement that gives mesh and order.
+        bound: the quantity should stay above it.
+        meaning: what it means when it does not, in words.
+        fatal: whether the run must stop there.
+    """
+
+    def __init__(
+        self, name: str, quantity: Any, u: fem.Function, *, bound: float, meaning: str, fatal: bool = False
+    ) -> None:
+        mesh = u.function_space.mesh
+        self.name, self.bound, self.meaning, self.fatal = name, bound, meaning, fatal
+        self.comm = mesh.comm
+        points = make_quadrature(mesh.basix_cell(), 2 * u.function_space.element.basix_element.degree)[0]
+        self._quantity = fem.Expression(quantity, points, comm=mesh.comm)
+        self._X = fem.Expression(ufl.SpatialCoordinate(mesh), points, comm=mesh.comm)
+        self._mesh = mesh
+        self._cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
+
+    def values(self) -> NDArray[np.float64]:
+        """(points,) the quantity at this rank's Gauss points."""
+        return np.asarray(self._quantity.eval(self._mesh, self._cells)).ravel()
+
+    def range(self) -> tuple[float, float]:
+        """Least and largest value (collective)."""
+        v = self.values()
+        low = min(self.comm.allgather(float(v.min(initial=np.inf))))
+        return low, max(self.comm.allgather(float(v.max(initial=-np.inf))))
+
+    def look(self) -> Finding | None:
+        """The least value, if it is below its bound (collective); not a number counts as less than anything."""
+        v = self.values()
+        v = np.where(np.isnan(v), -np.inf, v)
+        k = int(np.argmin(v)) if len(v) else -1
+        X = np.asarray(self._X.eval(self._mesh, self._cells)).reshape(len(v), -1)
+        mine = (float(v[k]), tuple(map(float, X[k]))) if len(v) else (np.inf, ())
+        value, place = min(self.comm.allgather(mine))
+        return None if value > self.bound else Finding(self.name, value, place, self.meaning, self.fatal)
+
+
+def wrinkling(membrane: NeoHookeanMembrane, u: fem.Function) -> Monitor:
+    """Least tension of a membrane (N/m): where it is negative a real membrane wrinkles, which the model does not."""
+    meaning = "the membrane is in compression and would wrinkle, which this model does not show"
+    return Monitor("tension (N/m)", membrane.smallest_tension(u), u, bound=0.0, meaning=meaning)
+
+
+def inversion(u: fem.Function) -> Monitor:
+    """Least det 𝐅 of a body; at or below zero matter is turned inside out."""
+    meaning = "a cell is inverted"
+    return Monitor("det F", ufl.det(deformation_gradient(u)), u, bound=0.0, meaning=meaning, fatal=True)
