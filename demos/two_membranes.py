@@ -153,9 +153,9 @@ def draw(results: dict[tuple[float, float, float], tuple], directory: Path) -> N
 
 if __name__ == "__main__":
     args = options()
-    one = (args.friction, args.shift, args.pressure)
-    given = tuple(d if x is None else x for x, d in zip(one, CASES[1], strict=True))
-    cases = CASES if one == (None, None, None) else [given]
+    one = [args.friction, args.shift, args.pressure]
+    f, s, p = (default if x is None else x for x, default in zip(one, CASES[1], strict=True))
+    cases = CASES if one == [None, None, None] else [(f, s, p)]
     results = {}
     for case in cases:
         folder = args.output if len(cases) == 1 else args.output / f"friction_{case[0]:g}_shift_{case[1]:g}"

@@ -176,15 +176,16 @@ class ContactPair:
         return normal * self.facets.orientation[:, None, None]
 
     def _redundant(self) -> NDArray[np.bool_]:
-        """(nf, nodes, components) nodes prescribed on the contactor and, where they face it, on the target too."""
+        """(nf, nodes, components) nodes prescribed on the contactor and, where they touch it, on the target too."""
         fixed = self._contactor_fixed.copy()
         facet, node = np.nonzero(fixed.any(axis=2))
         if len(facet):
             x = self.facets.X[facet, node]
             at = project(self.target, self.target.X, x, CandidateSearch(self.target)(x, self.target.X))
             on_target = self._target_fixed[self.target.facets[at.point.facet]]
-            fixed[facet, node] &= np.einsum("nk,nki->ni", np.abs(at.N), on_target) > 1 - 1e-6
-        return fixed if self.contact.friction else fixed.all(axis=2, keepdims=True)
+            touching = np.linalg.norm(x - at.y, axis=1, keepdims=True) <= self.target.size_of_facets
+            fixed[facet, node] &= touching & (np.einsum("nk,nki->ni", np.abs(at.N), on_target) > 1 - 1e-6)
+        return fixed if self.contact.friction else np.asarray(fixed.all(axis=2, keepdims=True))
 
     def surface_stiffness(self, diagonals: Sequence[fem.Function]) -> float:
         """The softer side's mean nodal stiffness per facet area (Pa/m), from the diagonals (N/m) of the bodies' matrices."""
@@ -316,8 +317,8 @@ class ContactPair:
         own = V.dofmap.index_map.local_to_global(self.facets.dofs.ravel()).reshape(self.facets.dofs.shape)
         weight = np.einsum("qa,fa->fq", self.N, np.isin(own, ends))
         nearest = weight.max(axis=1, keepdims=True, initial=0.0)
-        nearest_points: NDArray[np.bool_] = (nearest > 0.5) & (weight >= nearest - 1e-9)
-        return nearest_points.ravel()
+        near: NDArray[np.bool_] = (nearest > 0.5) & (weight >= nearest - 1e-9)
+        return near.ravel()
 
     def relative_motion(self) -> float:
         """How far the present displacements have moved closed points over the target since the last evaluation, in

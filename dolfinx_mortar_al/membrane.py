@@ -49,12 +49,14 @@ def area_stretch(u: fem.Function) -> Expr:
 
 def principal_stretches(u: fem.Function) -> tuple[Expr, ...]:
     """The membrane's stretches in its own plane, the smallest first: one for a curve, two for a surface."""
-    F, tdim = tangent_gradient(u), u.function_space.mesh.topology.dim
+    mesh = u.function_space.mesh
+    F = tangent_gradient(u)
     C = F.T * F
-    if tdim == 1:
+    if mesh.topology.dim == 1:
         return (ufl.sqrt(ufl.tr(C)),)
-    mean, product = ufl.tr(C) / 2, _squared_area_stretch(C, tdim)
-    spread = ufl.sqrt(ufl.max_value(mean**2 - product, 0.0))
+    mean = ufl.tr(C) / 2
+    deviator = C - mean * ufl.Jacobian(mesh) * ufl.JacobianInverse(mesh)
+    spread = ufl.sqrt(ufl.inner(deviator, deviator) / 2)  # without the cancellation of mean² − det
     return ufl.sqrt(ufl.max_value(mean - spread, 0.0)), ufl.sqrt(mean + spread)
 
 

@@ -26,6 +26,7 @@ _Reason = PETSc.SNES.ConvergedReason
 FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane's stiffness in its own plane
 LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, as a share of the largest pressure
 LONGEST = 1.0  # target facets that a closed point may move over the target in one iteration
+EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
 HOPELESS_AFTER, HOPELESS = 16, 0.1  # as it is when five iterations in a row have relative residuals above this
 
@@ -103,6 +104,11 @@ class NewtonSolver:
         self, problem: ContactProblem, *, rtol: float = 1e-9, max_iterations: int = 80, prefix: str = "contact_"
     ) -> None:
         self.problem, self.rtol = problem, rtol
+        self._max_iterations, self._prefix = max_iterations, prefix
+        self.snes = self._create()
+
+    def _create(self) -> PETSc.SNES:
+        problem, prefix, max_iterations = self.problem, self._prefix, self._max_iterations
         snes = PETSc.SNES().create(problem.comm)
         snes.setOptionsPrefix(prefix)
         snes.setFunction(self._function, problem.residual)
@@ -124,7 +130,7 @@ class NewtonSolver:
             if not options.hasName(name):
                 options[name] = value
         snes.setFromOptions()
-        self.snes = snes
+        return snes
 
     def solve(self, path: Path | None = None) -> NewtonResult:
         """Solve from the problem's present state; on failure the state is the last trial's, to be restored.
@@ -141,7 +147,12 @@ class NewtonSolver:
         self._tension = FIRST_TENSION if p.limp else 0.0
         p.pack(p.x)
         with p.stopwatch("newton"):
-            self.snes.solve(None, p.x)
+            try:
+                self.snes.solve(None, p.x)
+            except PETSc.Error as error:
+                if error.ierr != EXTERNAL:
+                    raise
+                return self._singular()
         self.result.iterations = self.snes.getIterationNumber()
         reason = self.snes.getConvergedReason()
         self.result.converged = reason > 0
@@ -151,6 +162,13 @@ class NewtonSolver:
                 self.result.converged, self.result.message = False, "det F ≤ 0 in the converged state"
         elif not self.result.message:
             self.result.message = self._failure(reason)
+        return self._singular() if reason == _Reason.DIVERGED_LINEAR_SOLVE else self.result
+
+    def _singular(self) -> NewtonResult:
+        """A failed solve after which MUMPS' object cannot be used again; the next one has a fictitious tension's help."""
+        self.snes = self._create()
+        self.problem.limp = True
+        self.result.message = "the Jacobian is singular: some displacement meets no stiffness"
         return self.result
 
     # ---------------------------------------------------------------- callbacks
@@ -187,7 +205,8 @@ class NewtonSolver:
             # points may have been held on the way for nothing: converged is what converges again without
             return None if any([pair.release_held() for pair in self.problem.pairs]) else _Reason.CONVERGED_FNORM_ABS
         recent = [max(norms) * self.rtol for norms in self.result.norms[-5:]]
-        if iteration >= snes.getTolerances()[3] or (iteration >= HOPELESS_AFTER and min(recent) > HOPELESS):
+        patience = 2 * HOPELESS_AFTER if self.problem.limp else HOPELESS_AFTER
+        if iteration >= snes.getTolerances()[3] or (iteration >= patience and min(recent) > HOPELESS):
             return _Reason.DIVERGED_MAX_IT  # a long walk of the contact's edge, one facet at a time, may go on
         return self._watch_pattern(iteration)
 

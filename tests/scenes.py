@@ -6,8 +6,10 @@ from dolfinx import fem
 from dolfinx.mesh import compute_midpoints, locate_entities_boundary, meshtags
 from mpi4py import MPI
 
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials, membrane
+from meshes.gmsh_session import distribute
 from meshes.two_beams import CLAMP, LOWER_TOP, TIP, UPPER_BOTTOM, TwoBeams
+from meshes.two_membranes import EDGE, LOWER, UPPER, TwoMembranes
 
 E, NU = 2e6, 0.3
 
@@ -99,3 +101,61 @@ def tip(problem, X=(1.0, 0.025)):
     k = int(np.argmin(distance)) if len(x) else 0
     mine = (distance[k], tuple(problem.u.x.array.reshape(-1, problem.gdim)[k])) if len(x) else (np.inf, ())
     return np.array(min(problem.comm.allgather(mine))[1])
+
+
+def rough(scale, seed):
+    """A smooth vector field of X with no symmetry, of size `scale`."""
+    rng = np.random.default_rng(seed)
+    waves = rng.uniform(5, 20, (3, 3))
+    phase = rng.uniform(0, 6, 3)
+    return lambda X: scale * np.sin(X @ waves[: X.shape[1], : X.shape[1]] + phase[: X.shape[1]])
+
+
+def membranes(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, contact=True, swap=False, epsilon_normal=None,
+              epsilon_tangential=None, **shape):  # fmt: skip
+    """The two membranes of section 4.2: (problem, pressure in Pa); `problem.lower` are the cells of the lower one."""
+    built = TwoMembranes(**shape)
+    domain, cells, edges = built.create(comm)
+    d = built.dim
+    V = fem.functionspace(domain, ("Lagrange", order, (d,)))
+    u, p = fem.Function(V), fem.Constant(domain, 0.0)
+    up = np.eye(d)[1]
+    dx = ufl.Measure("dx", domain, subdomain_data=cells)
+    sheet = membrane.neo_hookean_membrane(E, NU, 1e-3)
+    F = sheet.virtual_work(u, dx=dx)
+    F -= loads.membrane_pressure(u, p, up, dx(LOWER)) + loads.membrane_pressure(u, p, -up, dx(UPPER))
+    bcs = [fem.dirichletbc(np.zeros(d), fem.locate_dofs_topological(V, d - 2, edges.find(EDGE)), V)]
+    sides = [Surface(domain, cells, UPPER, side=-up), Surface(domain, cells, LOWER, side=up)]
+    contactor, target = reversed(sides) if swap else sides
+    ε = {"epsilon_normal": epsilon_normal, "epsilon_tangential": epsilon_tangential}
+    contacts = [Contact(contactor, target, friction=friction, **ε)] if contact else []
+    problem = ContactProblem(F, u, bcs=bcs, contacts=contacts)
+    problem.lower = cells.find(LOWER)
+    return problem, p
+
+
+def octant(comm=MPI.COMM_WORLD, size=0.5):
+    """An octant of a spherical balloon of radius 1 m under inner pressure: (problem, pressure in Pa)."""
+
+    def build(gmsh):
+        ball = gmsh.model.occ.addSphere(0, 0, 0, 1, angle1=0, angle2=np.pi / 2, angle3=np.pi / 2)
+        gmsh.model.occ.synchronize()
+        skin = [
+            t for d, t in gmsh.model.getBoundary([(3, ball)], oriented=False) if gmsh.model.getType(2, t) == "Sphere"
+        ]
+        gmsh.model.addPhysicalGroup(2, skin, 1)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+        gmsh.model.mesh.generate(2)
+        gmsh.model.mesh.setOrder(2)
+
+    domain = distribute(build, comm, 3)[0]
+    V = fem.functionspace(domain, ("Lagrange", 2, (3,)))
+    u, p = fem.Function(V), fem.Constant(domain, 0.0)
+    sheet = membrane.neo_hookean_membrane(E, NU, 1e-3)
+    F = sheet.virtual_work(u) - loads.membrane_pressure(u, p, ufl.SpatialCoordinate(domain), ufl.dx(domain))
+    bcs = []
+    for axis in range(3):
+        W = V.sub(axis).collapse()[0]
+        dofs = fem.locate_dofs_geometrical((V.sub(axis), W), lambda x, axis=axis: np.abs(x[axis]) < 1e-9)
+        bcs.append(fem.dirichletbc(fem.Function(W), dofs, V.sub(axis)))
+    return ContactProblem(F, u, bcs=bcs), p

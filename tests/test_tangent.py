@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import beams, set_field
+from scenes import beams, rough, set_field
 
 from dolfinx_mortar_al.law import OPEN, SLIP, STICK
 
@@ -15,14 +15,6 @@ CASES = [
     for order in (1, 2)
     for friction in (0.0, 0.8)
 ]
-
-
-def rough(scale, seed):
-    """A smooth vector field of X with no symmetry, of size `scale`."""
-    rng = np.random.default_rng(seed)
-    waves = rng.uniform(5, 20, (3, 3))
-    phase = rng.uniform(0, 6, 3)
-    return lambda X: scale * np.sin(X @ waves[: X.shape[1], : X.shape[1]] + phase[: X.shape[1]])
 
 
 def bend(X):

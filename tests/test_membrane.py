@@ -1,0 +1,320 @@
+"""Membranes: material, pressure, flat start, contact of curves and surfaces, path following, against exact solutions."""
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from scenes import NU, E, membranes, octant, rough, set_field
+
+from dolfinx_mortar_al import (
+    Contact,
+    ContactProblem,
+    Surface,
+    loads,
+    materials,
+    membrane,
+    monitors,
+    output,
+    quasistatic,
+)
+from dolfinx_mortar_al.law import OPEN, SLIP, STICK
+from exact.balloon import Balloon
+from exact.two_membranes import TwoMembranes as Exact
+from exact.two_membranes import thickness_stretch_squared
+from meshes.two_membranes import EDGE, LOWER, UPPER, TwoMembranes
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.1, 0.3, 0.45, 0.4999])
+def test_thickness_is_eliminated_to_round_off(nu):
+    """x(J) against Wright's ω for area stretches 0.1 … 20: a few units of round-off."""
+    sheet = membrane.neo_hookean_membrane(1.0, nu, 1.0)
+    for J in np.geomspace(0.1, 20.0, 41):
+        exact = thickness_stretch_squared(J, sheet.G, sheet.Λ)
+        assert float(sheet.squared_thickness_stretch(ufl.as_ufl(float(J)))) == pytest.approx(float(exact), rel=1e-13)
+
+
+def test_tension_of_a_strip_and_of_a_sheet_stretched_both_ways():
+    """End forces of a uniformly stretched curve, hG(l − x/l), and of a surface with x(l²): to round-off."""
+    sheet = membrane.neo_hookean_membrane(E, NU, 1e-3)
+    for dim, l in ((2, 1.7), (3, 1.3)):
+        domain, _, _edges = TwoMembranes(dim=dim, cells=(3, 3), through=3).create()
+        u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (dim,))))
+        u.interpolate(lambda x, l=l, dim=dim: ((l - 1) * x[:dim]) * np.array([[1], [0], [1]])[:dim])
+        J = l if dim == 2 else l**2
+        tension = sheet.thickness * sheet.G * (l - float(thickness_stretch_squared(J, sheet.G, sheet.Λ)) / l)
+        assert np.allclose(monitors.wrinkling(sheet, u).range(), tension, rtol=1e-12)
+        inner = fem.assemble_scalar(fem.form(sheet.virtual_work(u, u)))  # N × (l − 1) per direction and area, 2 sheets
+        total = domain.comm.allreduce(inner)
+        assert total == pytest.approx(2 * (dim - 1) * tension * (l - 1), rel=1e-12)
+
+
+@pytest.mark.parametrize("nu, thickness, words", [(-0.1, 1.0, "nu = -0.1"), (0.3, 0.0, "thickness = 0.0")])
+def test_membrane_arguments(nu, thickness, words):
+    with pytest.raises(ValueError, match=words):
+        membrane.neo_hookean_membrane(1.0, nu, thickness)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_pressure_on_a_closed_surface_does_the_work_of_its_volume(dim):
+    """Any deformation: no resultant force; power −p dV/dt, both to round-off (the quadrature is exact)."""
+    comm = MPI.COMM_WORLD
+    domain = mesh.create_unit_square(comm, 3, 3) if dim == 2 else mesh.create_unit_cube(comm, 2, 2, 2)
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 2, (dim,))))
+    v = fem.Function(u.function_space)
+    u.interpolate(lambda x: 0.1 * np.sin(3 * x[:dim] + 1) * np.cos(2 * x[[1, 0, 2][:dim]]))
+    v.interpolate(lambda x: np.cos(4 * x[:dim] + 2) + x[:dim] ** 2)
+    force = loads.pressure(u, 2.0, ufl.Measure("ds", domain))
+    F = materials.deformation_gradient(u)
+    volume_rate = ufl.derivative(ufl.det(F) * ufl.dx(domain), u, v)
+    total = [domain.comm.allreduce(fem.assemble_scalar(fem.form(f))) for f in (ufl.action(force, v), volume_rate)]
+    assert total[0] == pytest.approx(-2.0 * total[1], rel=1e-10)
+    for k in range(dim):
+        rigid = fem.Constant(domain, np.eye(dim)[k])
+        one = ufl.replace(force, {ufl.TestFunction(u.function_space): rigid})
+        assert abs(domain.comm.allreduce(fem.assemble_scalar(fem.form(one)))) < 1e-12
+
+
+@pytest.mark.parametrize("pressure", [0.1, 10.0, 400.0, 2800.0])
+def test_flat_unstressed_start_reaches_the_exact_arc_in_one_step(pressure):
+    """A single step from the flat state, whatever its size; error of P2 with 20 cells: measured 2e-6 of the deflection."""
+    problem, p = membranes(cells=(20, 20), shift=3.0, contact=False)
+    assert problem.limp
+    (step,) = quasistatic.march(problem, p, to=pressure, increments=1)
+    exact = Exact().apart(pressure)
+    u = output.probe(problem.u, [0.5, 0.0])
+    assert step.rejected == 0
+    assert u[1] == pytest.approx(exact.midpoint_displacement[1], rel=1e-5)
+    assert u[0] == pytest.approx(0.0, abs=1e-9)
+    assert problem.comm.allreduce(np.abs(problem.residual.getNestSubVecs()[0].array_r).max(initial=0), MPI.MAX) < 1e-6
+
+
+def midpoint_error(problem, state):
+    u = output.probe(problem.u, [0.5, 0.0], problem.lower)
+    exact = np.array(state.midpoint_displacement)
+    return np.linalg.norm(u - exact) / np.linalg.norm(exact)
+
+
+@pytest.mark.parametrize("pressure, cells", [(3500.0, 200), (4023.0, 160)])
+def test_without_friction_the_exact_solution_is_met(pressure, cells):
+    """P2: below 1e-5 of the midpoint's displacement, and of the length of a membrane; facet means of the traction in the
+    zone (six facets from its edges) are p l to 1e-4 where the zone is long enough to have such facets."""
+    problem, p = membranes(cells=(cells, cells))
+    for _ in quasistatic.march(problem, p, to=pressure, increments=10):
+        pass
+    exact = Exact().state(pressure)
+    assert midpoint_error(problem, exact) < 1e-5
+    length = fem.assemble_scalar(fem.form(membrane.area_stretch(problem.u) * ufl.dx(problem.u.function_space.mesh)))
+    assert problem.comm.allreduce(length) / 2 == pytest.approx(exact.stretch_max, rel=1e-5)
+    profile = output.contact_profile(problem, problem.pairs[0])
+    if profile is not None and pressure > 4000:
+        weights = np.polynomial.legendre.leggauss(7)[1] / 2
+        means = profile.pressure.reshape(-1, 7) @ weights
+        zone = np.flatnonzero(means > 0.9 * exact.multiplier[1])
+        inner = means[zone[6:-6]]
+        assert len(inner) > 4
+        assert np.allclose(inner, exact.multiplier[1], rtol=1e-4)
+
+
+def test_any_steps_give_the_same_frictionless_answer():
+    """Steps of 400 and of 50 Pa: differences of round-off size (both solve the same equations to 1e-9)."""
+    found = []
+    for increments in (10, 80):
+        problem, p = membranes(cells=(40, 40))
+        for _ in quasistatic.march(problem, p, to=4023.0, increments=increments):
+            pass
+        found.append(output.probe(problem.u, [0.5, 0.0], problem.lower))
+    assert np.allclose(found[0], found[1], atol=1e-7)
+
+
+def test_with_friction_the_slipping_branch_is_met():
+    """μ = 0.5 at 3500 and 4023 Pa, P2 with 80 cells: 1e-4 of the midpoint's displacement (measured: 3e-5)."""
+    problem, p = membranes(cells=(80, 80), friction=0.5)
+    assert list(quasistatic.march(problem, p, to=4023.0, increments=20))[-1].load == 4023.0
+    assert midpoint_error(problem, Exact(friction=0.5).state(4023.0)) < 1e-4
+    assert problem.pairs[0].stick_fraction() == 0.0
+
+
+@pytest.mark.parametrize("μ, limit", [(0.0, 4380.47), (0.5, 4670.9)])
+def test_the_march_ends_where_the_membranes_lock(μ, limit):
+    """40 cells meet the limit within a facet of the edge: 0.8 % without friction, 0.5 % with."""
+    problem, p = membranes(cells=(40, 40), friction=μ)
+    *_, step = quasistatic.march(problem, p, to=5420.0, increments=20, until=problem.pairs[0].reaches_end)
+    assert step.load < 5420.0
+    assert step.load == pytest.approx(limit, rel=8e-3 if μ == 0 else 5e-3)
+
+
+def test_swapped_roles_agree_within_the_discretisation_error():
+    found = []
+    for swap in (False, True):
+        problem, p = membranes(cells=(40, 50), swap=swap)
+        for _ in quasistatic.march(problem, p, to=4023.0, increments=20):
+            pass
+        found.append(midpoint_error(problem, Exact().state(4023.0)))
+    assert max(found) < 5e-4
+
+
+def test_a_balloon_is_followed_past_its_limit_point():
+    """Spherical balloon, coarse octant of order 2: pressure on both sides of the limit within 5e-4 of the exact curve."""
+    problem, p = octant()
+    balloon = Balloon()
+    l_limit, p_limit = balloon.limit()
+    loads_, stretches = [], []
+    for step in quasistatic.follow(problem, p, first=200.0, length=0.1, steps=9):
+        loads_.append(step.load)
+        stretches.append(1 + output.probe(problem.u, [0.0, 0.0, 1.0])[2])
+    late = np.array(stretches) > 1.2
+    assert np.allclose(np.array(loads_)[late], balloon.pressure(np.array(stretches)[late]), rtol=1e-3)
+    assert stretches[-1] > l_limit and loads_[-1] < max(loads_)
+    assert max(loads_) == pytest.approx(p_limit, rel=2e-3)  # the path's points do not fall on the summit
+
+
+def test_path_arguments():
+    problem, p = membranes(cells=(4, 4), contact=False)
+    with pytest.raises(ValueError, match="length = 0"):
+        next(quasistatic.follow(problem, p, first=1.0, length=0.0, steps=3))
+
+
+def test_compression_is_reported():
+    """A membrane pushed together by a tenth: the finding says how much and where, and the step is there all the same."""
+    domain, _, edges = TwoMembranes(cells=(8, 8)).create()
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u, push = fem.Function(V), fem.Function(V)
+    sheet = membrane.neo_hookean_membrane(E, NU, 1e-3)
+    bcs = [fem.dirichletbc(push, fem.locate_dofs_topological(V, 0, edges.find(EDGE)))]
+    y = fem.locate_dofs_geometrical((V.sub(1), V.sub(1).collapse()[0]), lambda x: x[0] > -1)
+    bcs.append(fem.dirichletbc(fem.Function(V.sub(1).collapse()[0]), y, V.sub(1)))  # held straight
+    problem = ContactProblem(sheet.virtual_work(u), u, bcs=bcs, monitors=[monitors.wrinkling(sheet, u)])
+
+    def set_push(t):
+        push.interpolate(lambda x: np.stack([-0.1 * t * (x[0] - 1.0), 0 * x[0]]))
+
+    march = quasistatic.march(problem, set_push, to=1.0, increments=2)
+    if problem.comm.rank == 0:
+        with pytest.warns(quasistatic.ModelWarning, match=r"tension \(N/m\) = -.*would wrinkle"):
+            steps = list(march)
+    else:
+        steps = list(march)
+    assert len(steps) == 2
+    assert steps[1].findings[0].value < steps[0].findings[0].value < 0
+
+
+CASES = [(dim, order, μ) for dim in (2, 3) for order in (1, 2) for μ in (0.0, 0.8)]
+
+
+@pytest.mark.parametrize("dim, order, friction", CASES)
+def test_tangent_of_membranes_in_contact(dim, order, friction):
+    """Every block of the Jacobian (membrane, pressure, contact) against central differences: below 1e-6."""
+    shape = {"cells": (9, 7), "through": 4, "shift": 0.1, "height": 0.05, "dim": dim}
+    problem, p = membranes(order=order, friction=friction, epsilon_normal=1e5, epsilon_tangential=3e5, **shape)
+    pair = problem.pairs[0]
+    p.value = 100.0
+    upper = problem.u.function_space.tabulate_dof_coordinates()[:, 1] > 0.02
+
+    def bend(X):
+        u = np.zeros_like(X)
+        u[:, 1] = 0.2 * X[:, 0] ** 2 - 0.05 * upper
+        return u
+
+    set_field(problem, lambda X: bend(X) + 0.95 * rough(3e-3, 2)(X))
+    pair.evaluate()
+    pair.commit()
+    direction = [rough(1.0, 4), rough(1e5, 5)]
+
+    def at(h):
+        set_field(
+            problem,
+            lambda X: bend(X) + rough(3e-3, 2)(X) + h * direction[0](X),
+            lambda X: 3e2 * (rough(1, 3)(X) + np.array([0.1, 1.0, 0.1])[:dim]) + h * direction[1](X),
+        )
+        problem.pack(problem.x)
+        problem.assemble_residual(problem.x, problem.residual)
+        return [part.array.copy() for part in problem.residual.getNestSubVecs()]
+
+    pair.patience = 0.0
+    at(0.0)
+    pair.closed = pair.at.facing & (pair.state.λN_hat > 0)
+    pair.switch = lambda residual: None
+    at(0.0)
+    counts = np.bincount(np.concatenate(problem.comm.allgather(pair.state.status)), minlength=3)
+    assert counts[SLIP] + counts[STICK] > 0
+    if order == 2:
+        assert counts[SLIP] > 0 and (counts[OPEN] > 0 if friction == 0 else counts[STICK] > 0)
+    problem.assemble_jacobian()
+    set_field(problem, direction[0], direction[1])
+    d, Kd = problem.x.duplicate(), problem.x.duplicate()
+    problem.pack(d)
+    problem.matrix.mult(d, Kd)
+    h = 1e-8
+    plus, minus = at(h), at(-h)
+    for k, part in enumerate(Kd.getNestSubVecs()):
+        difference = (plus[k] - minus[k]) / (2 * h)
+        error = np.sqrt(problem.comm.allreduce(float(np.sum((difference - part.array) ** 2))))
+        assert error < 1e-6 * part.norm()
+
+
+def membrane_on_block(comm=MPI.COMM_WORLD, swap=False):
+    """A membrane from (0, 0.02) to (1, 0.02), blown down on a soft block below it: two meshes, two displacements."""
+    sheet_mesh, cells, edges = TwoMembranes(length=1.0, shift=0.0, height=0.02, cells=(5, 12)).create(comm)
+    block = mesh.create_rectangle(comm, [[0.2, -0.3], [0.8, 0.0]], [7, 4])
+    sheet_mesh.topology.create_connectivity(1, 1)
+    top = mesh.locate_entities_boundary(block, 1, lambda x: np.isclose(x[1], 0.0))
+    tags = mesh.meshtags(block, 1, np.sort(top), np.full(len(top), 5, dtype=np.int32))
+    V, W = (fem.functionspace(m, ("Lagrange", 2, (2,))) for m in (sheet_mesh, block))
+    u, w, p = fem.Function(V), fem.Function(W), fem.Constant(sheet_mesh, 0.0)
+    dx = ufl.Measure("dx", sheet_mesh, subdomain_data=cells)
+    sheet = membrane.neo_hookean_membrane(E, NU, 1e-3)
+    F = [
+        sheet.virtual_work(u, dx=dx) - loads.membrane_pressure(u, p, [0.0, -1.0], dx(UPPER)),
+        materials.neo_hookean(1e5, 0.3).virtual_work(w),
+    ]
+    bcs = [fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 0, edges.find(EDGE)), V)]
+    bcs.append(fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, cells.find(LOWER)), V))  # the other one
+    bcs.append(fem.dirichletbc(np.zeros(2), fem.locate_dofs_geometrical(W, lambda x: np.isclose(x[1], -0.3)), W))
+    sides = [Surface(sheet_mesh, cells, UPPER, side=[0.0, -1.0]), Surface(block, tags, 5)]
+    contactor, target = reversed(sides) if swap else sides
+    return ContactProblem(F, [u, w], bcs=bcs, contacts=[Contact(contactor, target, friction=0.2)]), p
+
+
+@pytest.mark.parametrize("swap", [False, True])
+def test_a_membrane_and_a_body_on_meshes_of_their_own(swap):
+    """The block carries what the membrane does not: the contact force is down on the block, and all ranks agree with
+    one rank to 1e-8."""
+    found = []
+    for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
+        problem, p = membrane_on_block(comm, swap)
+        *_, step = quasistatic.march(problem, p, to=500.0, increments=4)
+        assert step.load == 500.0
+        force = problem.pairs[0].force()
+        found.append([*force, problem.pairs[0].closed_fraction(), *output.probe(problem.u[1], [0.5, -0.1])])
+    down = -1 if swap else 1
+    assert 30.0 < down * found[0][1] < 500.0
+    assert abs(found[0][0]) < 1e-2 * abs(found[0][1])  # symmetric but for the meshes
+    assert np.allclose(found[0], found[1], rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize("dim, friction", [(2, 0.0), (2, 0.5), (3, 0.3)])
+def test_ranks_agree_with_one_rank(dim, friction):
+    shape = {"cells": (24, 20)} if dim == 2 else {"cells": (5, 4), "through": 3, "dim": 3, "shift": 0.3}
+    found = []
+    for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
+        problem, p = membranes(comm, friction=friction, order=2, **shape)
+        for _ in quasistatic.march(problem, p, to=3300.0 if dim == 2 else 2700.0, increments=6):
+            pass
+        middle = [0.5, 0.0] + [0.5] * (dim - 2)
+        found.append([*output.probe(problem.u, middle, problem.lower), problem.pairs[0].closed_fraction()])
+    assert found[0][-1] > 0
+    assert np.allclose(found[0], found[1], rtol=1e-8, atol=1e-10)
+
+
+def test_sides_must_be_named_and_not_lie_in_the_membrane():
+    domain, cells, _edges = TwoMembranes(cells=(4, 4)).create()
+    with pytest.raises(ValueError, match="name the side of the membrane"):
+        Surface(domain, cells, LOWER).owned_facets()
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    from dolfinx_mortar_al.surface import Facets
+
+    with pytest.raises(ValueError, match="lies in the plane"):
+        Facets.of(Surface(domain, cells, LOWER, side=[1.0, 0.0]), V)
+    with pytest.raises(ValueError, match="needs 2 components"):
+        Facets.of(Surface(domain, cells, LOWER, side=[1.0, 0.0, 0.0]), V)
