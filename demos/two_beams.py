@@ -85,23 +85,16 @@ def simulate(args: argparse.Namespace, friction: float, directory: Path) -> tupl
     pair = problem.pairs[0]
 
     tip = [beams.length, beams.height / 2] + [beams.width / 2] * (args.dim - 2)
-    history = output.History(problem, directory, COLUMNS)
-    paraview = output.ParaView(problem, directory) if args.paraview else None
-    rejected = 0
+    run = output.Run(problem, directory, COLUMNS, vars(args) | {"friction": friction}, args.paraview)
     for step in quasistatic.march(problem, P, to=args.load, increments=args.increments, progress=True):
         ux, uy = output.probe(u, tip, cell_tags.find(UPPER))[:2]
         fx, fy = pair.force()[:2]
-        history.add(
-            load=step.load, tip_ux=ux, tip_uy=uy, contact_force_x=fx, contact_force_y=fy, wall_time=step.wall_time,
-            active_fraction=pair.closed_fraction(), stick_fraction=pair.stick_fraction(), newton_iterations=step.iterations,
+        run.record(
+            step, step.load, load=step.load, tip_ux=ux, tip_uy=uy, contact_force_x=fx, contact_force_y=fy,
+            active_fraction=pair.closed_fraction(), stick_fraction=pair.stick_fraction(),
         )  # fmt: skip
-        rejected += step.rejected
-        if paraview:
-            paraview.write(step.load)
-    if paraview:
-        paraview.close()
-    output.summary(problem, history, directory, vars(args) | {"friction": friction}, rejected)
-    return history, output.deformed_cells(u) if args.dim == 2 else None, output.contact_profile(problem, pair)
+    run.finish()
+    return run.history, output.deformed_cells(u) if args.dim == 2 else None, output.contact_profile(problem, pair)
 
 
 def draw(results: dict[float, tuple], directory: Path) -> None:

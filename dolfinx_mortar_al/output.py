@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.contact import ContactPair
 from dolfinx_mortar_al.problem import ContactProblem
 
-__all__ = ["History", "ParaView", "Profile", "contact_profile", "deformed_cells", "extent", "probe", "summary"]
+__all__ = ["History", "ParaView", "Profile", "Run", "contact_profile", "deformed_cells", "extent", "probe", "summary"]
 
 Array = NDArray[np.float64]
 
@@ -113,6 +113,44 @@ class ParaView:
     def close(self) -> None:
         for writer in self._writers:
             writer.close()
+
+
+class Run:
+    """All that a run leaves behind: history.csv, summary.json and, if wanted, ParaView series.
+
+    Args:
+        problem: the problem.
+        directory: where to write.
+        columns: of the history; newton_iterations and wall_time are filled in from the step.
+        parameters: for the summary.
+        paraview: whether to write .bp series.
+    """
+
+    def __init__(
+        self,
+        problem: ContactProblem,
+        directory: Path,
+        columns: Sequence[str],
+        parameters: Mapping[str, Any],
+        paraview: bool = False,
+    ) -> None:
+        self.problem, self.directory, self.parameters = problem, directory, dict(parameters)
+        self.history = History(problem, directory, columns)
+        self._paraview = ParaView(problem, directory) if paraview else None
+        self._rejected = 0
+
+    def record(self, step: Any, at: float, **row: float) -> None:
+        """A converged step at load or time `at`."""
+        self.history.add(newton_iterations=step.iterations, wall_time=step.wall_time, **row)
+        self._rejected += step.rejected
+        if self._paraview is not None:
+            self._paraview.write(at)
+
+    def finish(self, **parameters: Any) -> dict[str, Any]:
+        """Close the files and write the summary, with further `parameters`; returns it."""
+        if self._paraview is not None:
+            self._paraview.close()
+        return summary(self.problem, self.history, self.directory, self.parameters | parameters, self._rejected)
 
 
 def probe(u: fem.Function, X: Sequence[float], cells: NDArray[np.int32] | None = None) -> Array:
