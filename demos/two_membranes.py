@@ -83,8 +83,8 @@ def simulate(args: argparse.Namespace, case: tuple[float, float, float], directo
     run = output.Run(problem, directory, COLUMNS, vars(args) | said, args.paraview)
     end = f"the pressure of {pressure:g} Pa is reached"
     try:
-        ends = {"to": pressure, "until": pair.reaches_end}
-        for step in quasistatic.march(problem, p, **ends, increments=args.increments, progress=True):
+        stop, n = pair.reaches_end, args.increments
+        for step in quasistatic.march(problem, p, to=pressure, increments=n, until=stop, progress=True):
             mid = output.probe(u, middle, cell_tags.find(LOWER))
             run.record(
                 step, step.load, pressure=step.load, mid_ux=mid[0], mid_uy=mid[1], contact_length=pair.contact_area(),

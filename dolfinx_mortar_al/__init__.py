@@ -1,6 +1,6 @@
 """Frictional contact under large deformation for FEniCSx: the mixed augmented-Lagrangian form of Le van and Nguyen."""
 
-from dolfinx_mortar_al import loads, materials, membrane, monitors, output, quasistatic
+from dolfinx_mortar_al import dynamics, loads, materials, membrane, monitors, obstacles, output, quasistatic
 from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.meshfile import read_msh
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
@@ -14,10 +14,12 @@ __all__ = [
     "NewtonResult",
     "NewtonSolver",
     "Surface",
+    "dynamics",
     "loads",
     "materials",
     "membrane",
     "monitors",
+    "obstacles",
     "output",
     "quasistatic",
     "read_msh",

@@ -20,7 +20,7 @@ from petsc4py import PETSc
 
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
-from dolfinx_mortar_al.petsc_blocks import Layout, matrix_with_pattern
+from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, matrix_with_pattern
 
 __all__ = ["Bodies", "Body"]
 
@@ -256,6 +256,20 @@ class Bodies:
             A.setLGMap(map_, map_)
             body.assemble_jacobian(A)
             A.assemble(PETSc.Mat.AssemblyType.FLUSH)
+
+    def assemble(self, forms: Sequence[Any]) -> PETSc.Mat:
+        """A matrix of all displacement unknowns from one bilinear form per body, without Dirichlet conditions."""
+        A = empty_matrix(self.layout, self.layout)
+        for form, map_ in zip(forms, self._maps, strict=True):
+            A.setLGMap(map_, map_)
+            dolfinx_petsc.assemble_matrix(A, form)
+        A.assemble()
+        return A
+
+    def reference_positions(self) -> Array:
+        """(all nodes, gdim) reference positions in the common numbering, on every rank (m)."""
+        owned = [body.space.tabulate_dof_coordinates()[: body.owned, : self.gdim] for body in self.bodies]
+        return np.concatenate(self.comm.allgather(np.concatenate(owned)))
 
     def tension(self, pattern: tuple[Index, Index], stiffness: Sequence[float]) -> PETSc.Mat:
         """What fictitious tensions add to the stiffness, scaled to have the trace `stiffness` (N/m) for each body."""

@@ -20,11 +20,13 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.multiplier import MultiplierSpace
-from dolfinx_mortar_al.projection import Projection, TargetPoint, project
-from dolfinx_mortar_al.search import CandidateSearch
+from dolfinx_mortar_al.obstacles import Obstacle
+from dolfinx_mortar_al.projection import Projection, TargetPoint
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.surface import Facets, Surface, surface_normal
-from dolfinx_mortar_al.variation import Slots, vary
+from dolfinx_mortar_al.targets import DeformableTarget, RigidTarget, target_of
+from dolfinx_mortar_al.variation import Slots, vary, vary_frozen
+from dolfinx_mortar_al.velocity import VelocityLevel
 
 __all__ = ["Contact", "ContactPair", "Tangent"]
 
@@ -47,7 +49,7 @@ class Contact:
 
     Args:
         contactor: carries the multiplier and the integration points; take the finer or softer side.
-        target: the surface that contactor points are projected onto.
+        target: the surface that contactor points are projected onto, or a rigid obstacle.
         friction: Coulomb's coefficient μ ≥ 0; 0 builds the problem with a scalar multiplier and no slip history.
         epsilon_normal, epsilon_tangential: augmentation parameters ε_N, ε_T (Pa/m). By default both come from the bulk
             stiffness at the surfaces; the answer depends on them only where a facet is partly closed.
@@ -61,7 +63,7 @@ class Contact:
     """
 
     contactor: Surface
-    target: Surface
+    target: Surface | Obstacle
     friction: float = 0.0
     epsilon_normal: float | None = None
     epsilon_tangential: float | None = None
@@ -79,8 +81,13 @@ class Contact:
         if self.quadrature_degree is not None and not 0 <= self.quadrature_degree <= 30:
             raise ValueError(f"quadrature_degree = {self.quadrature_degree}: must lie in 0 … 30")
         a, b = self.contactor, self.target
-        if a.mesh is b.mesh and a.tags is b.tags and a.tag == b.tag:
+        if isinstance(b, Surface) and a.mesh is b.mesh and a.tags is b.tags and a.tag == b.tag:
             raise ValueError(f"contactor and target are the same surface (tag {a.tag}): a pair needs two")
+
+    @property
+    def target_name(self) -> str:
+        """The target in a message."""
+        return f"tag {self.target.tag}" if isinstance(self.target, Surface) else type(self.target).__name__
 
 
 @dataclass
@@ -104,19 +111,18 @@ class ContactPair:
         self.contact, self.name = contact, contact.name
         self.stopwatch = stopwatch
         self.comm, self.gdim = bodies.comm, bodies.gdim
-        k1, k2 = bodies.index(contact.contactor.mesh), bodies.index(contact.target.mesh)
-        self._body1, self._body2 = bodies.bodies[k1], bodies.bodies[k2]
+        k = bodies.index(contact.contactor.mesh)
+        self._body1 = bodies.bodies[k]
         self.facets = Facets.of(contact.contactor, self._body1.space)
-        self.target = Facets.of(contact.target, self._body2.space).gather()
-        self.search = CandidateSearch(self.target)
-        #: (nf, nodes) and (target nodes,) numbers of the two surfaces' nodes among all bodies'
-        self.contactor_blocks: Index = bodies.nodes(k1, self.facets.dofs)
-        self.target_blocks: Index = bodies.common(k2, self.target.blocks)
+        contactor = self.facets.gather()
+        self.target = target_of(contact.target, bodies, contactor.size_of_facets)
+        #: (nf, nodes) numbers of the contactor's nodes among all bodies'
+        self.contactor_blocks: Index = bodies.nodes(k, self.facets.dofs)
         self._quadrature()
-        self._last_points = self._points_at_end()
-        self._make_scatter()
+        #: the law between velocities instead of positions, for impact (dynamics.march sets it)
+        self.impact: VelocityLevel | None = None
+        self._last_points = self._points_at_end(contactor.blocks[contactor.end_nodes])
         self._contactor_fixed = self._at_contactor(self._body1.prescribed()) > 0
-        self._target_fixed = self._at_target(self._body2.prescribed()) > 0
         self.multiplier = MultiplierSpace(self.facets, self.gdim if contact.friction else 1, self._redundant())
         self.slots = Slots(self.gdim, self.multiplier.components, contact.friction > 0)
         NΛ = np.einsum("qa,fiab->fqbi", self.N, self.multiplier.T)
@@ -132,25 +138,13 @@ class ContactPair:
         area.x.scatter_reverse(InsertMode.add)
         self._node_area = area.x.petsc_vec.copy()
         self._node_area.array[self._node_area.array_r == 0.0] = 1.0  # redundant nodes
-        self._touch = 1e-12 * self.target.size_of_facets  # gaps below are round-off
+        self._touch = 1e-12 * self.target.size  # gaps below are round-off
 
     # ---------------------------------------------------------------- set-up
-
-    def _make_scatter(self) -> None:
-        """The way of the target's nodal values to every rank."""
-        where = PETSc.IS().createBlock(self.gdim, self.target.blocks.astype(np.int32), comm=PETSc.COMM_SELF)
-        self._target_vec = PETSc.Vec().createSeq(len(self.target.blocks) * self.gdim)
-        u = self._body2.u
-        self._scatter = PETSc.Scatter().create(u.x.petsc_vec, where, self._target_vec, None)
 
     def _at_contactor(self, u: fem.Function) -> Array:
         """(nf, nodes, gdim) values of the contactor's body at its facets' nodes; ghosts are up to date."""
         return np.asarray(u.x.array.reshape(-1, self.gdim)[self.facets.dofs])
-
-    def _at_target(self, u: fem.Function) -> Array:
-        """(target nodes, gdim) values of the target's body at its nodes (collective)."""
-        self._scatter.scatter(u.x.petsc_vec, self._target_vec)
-        return self._target_vec.array_r.reshape(-1, self.gdim).copy()
 
     def _quadrature(self) -> None:
         shape = self.facets.shape
@@ -179,26 +173,23 @@ class ContactPair:
         """(nf, nodes, components) nodes prescribed on the contactor and, where they touch it, on the target too."""
         fixed = self._contactor_fixed.copy()
         facet, node = np.nonzero(fixed.any(axis=2))
-        if len(facet):
+        if not isinstance(self.target, DeformableTarget):
+            fixed[:] = False
+        elif len(facet):
             x = self.facets.X[facet, node]
-            at = project(self.target, self.target.X, x, CandidateSearch(self.target)(x, self.target.X))
-            on_target = self._target_fixed[self.target.facets[at.point.facet]]
-            touching = np.linalg.norm(x - at.y, axis=1, keepdims=True) <= self.target.size_of_facets
+            at = self.target.at_reference(x)
+            on_target = self.target.fixed[self.target.facets[at.point.facet]]
+            touching = np.linalg.norm(x - at.y, axis=1, keepdims=True) <= self.target.size
             fixed[facet, node] &= touching & (np.einsum("nk,nki->ni", np.abs(at.N), on_target) > 1 - 1e-6)
         return fixed if self.contact.friction else np.asarray(fixed.all(axis=2, keepdims=True))
 
     def surface_stiffness(self, diagonals: Sequence[fem.Function]) -> float:
         """The softer side's mean nodal stiffness per facet area (Pa/m), from the diagonals (N/m) of the bodies' matrices."""
-        comm, t = self.comm, self.contact.thickness
-        first, second = (
-            next(d for d in diagonals if d.function_space is body.space) for body in (self._body1, self._body2)
-        )
-        own = self._at_contactor(first).mean(axis=(1, 2)) / self.j.sum(axis=1)
-        count = comm.allreduce(self.facets.size)
-        contactor = comm.allreduce(float(own.sum())) / count
-        k = self._at_target(second)[self.target.facets].mean(axis=(1, 2))
-        target = float(np.mean(k / (self.target.areas() * t)))
-        return min(contactor, target)
+        mine = next(d for d in diagonals if d.function_space is self._body1.space)
+        own = self._at_contactor(mine).mean(axis=(1, 2)) / self.j.sum(axis=1)
+        count = self.comm.allreduce(self.facets.size)
+        contactor = self.comm.allreduce(float(own.sum())) / count
+        return min(contactor, self.target.stiffness(diagonals, self.contact.thickness))
 
     def set_law(self, stiffness: float) -> None:
         """Fix ε_N and ε_T: the user's, or the bulk's `stiffness` at the two surfaces (Pa/m)."""
@@ -220,9 +211,9 @@ class ContactPair:
         Raises:
             ValueError: on every rank, if contactor and target face the same way all over: one is the wrong side.
         """
-        x, nodes = self.positions()
-        self.at = project(self.target, nodes, x, self.search(x, nodes))
-        self._x, self._target_nodes = x, nodes
+        self.target.refresh()
+        self._x = self.positions()
+        self.at = self.target.project(self._x, None, None)
         self.commit()
         self.closed: NDArray[np.bool_] = self.at.facing & (self.at.g >= -self._touch)
         self.fresh = True  # until a step has converged
@@ -235,7 +226,7 @@ class ContactPair:
         same_way = comm.allreduce(int((self.at.facing & (cosine > 0.5)).sum()))
         if facing and same_way == facing:
             raise ValueError(
-                f"{self.name}: the target (tag {self.contact.target.tag}) faces away from the contactor "
+                f"{self.name}: the target ({self.contact.target_name}) faces away from the contactor "
                 f"(tag {self.contact.contactor.tag}) everywhere: pass the side of the body that faces it"
             )
 
@@ -253,21 +244,21 @@ class ContactPair:
         self._left: Index
         self._left, self._held = self._returns - 1, self._returns > 0
 
-    def positions(self) -> tuple[Array, Array]:
-        """Contactor points (n, gdim) and target nodes (·, gdim) where the displacements have moved them."""
+    def positions(self) -> Array:
+        """(n, gdim) contactor points where the displacements have moved them."""
         X = self.facets.X + self._at_contactor(self._body1.u)
-        x = np.einsum("qa,fai->fqi", self.N, X).reshape(-1, self.gdim)
-        return x, self.target.X + self._at_target(self._body2.u)
+        return np.einsum("qa,fai->fqi", self.N, X).reshape(-1, self.gdim)
 
     def evaluate(self) -> None:
         """Closest points, slip and law at the displacements and the multiplier field; ghosts are up to date."""
-        with self.stopwatch("search"):
-            x, nodes = self.positions()
-            self._x, self._target_nodes = x, nodes
-            near = self.search(x, nodes)
+        if self.impact is not None:
+            self._evaluate_velocities(self.impact)
+            return
         with self.stopwatch("projection"):
+            self.target.refresh()
+            self._x = self.positions()
             before = self.at.point.facet
-            self.at = project(self.target, nodes, x, near, self.at.point, self._held)
+            self.at = self.target.project(self._x, self.at.point, self._held)
             moved, returned = self.at.point.facet != before, self.at.point.facet == self._left
             self._returns += moved & returned
             self._left = np.where(moved, before, self._left)
@@ -276,6 +267,36 @@ class ContactPair:
             self.Λ = np.einsum("nai,nai->ni", self.NΛ, self.multiplier.own_nodal()[self.facet_of_point])
             self.s = self.slip() if self.contact.friction else None
             self._apply_law(np.where(self.closed, -np.inf, np.inf))
+
+    def predict(self) -> None:
+        """Velocity level: take the geometry from the present (predicted) positions, where the step's law will hold."""
+        assert self.impact is not None
+        self.target.refresh()
+        x = self.positions()
+        self.at = self.target.project(x, self.at.point, None)
+        self.impact.predict(self.at, x, self._touch)
+        self.restore(self.at.point)
+
+    def moving_points(self) -> tuple[Array, Array]:
+        """Velocity level: contactor points (n, gdim) and the step's target points (n, gdim), where they are now."""
+        assert self.impact is not None
+        self.target.refresh()
+        return self.positions(), self.target.positions(self.impact.at.point, self.impact.at.N)
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether the target is a rigid obstacle."""
+        return isinstance(self.target, RigidTarget)
+
+    def _evaluate_velocities(self, impact: VelocityLevel) -> None:
+        with self.stopwatch("contact"):
+            self.target.refresh()
+            self._x = self.positions()
+            moved = self.target.positions(impact.at.point, impact.at.N)
+            self.at, self.s = impact.relative_motion(self._x, moved)
+            self.Λ = np.einsum("nai,nai->ni", self.NΛ, self.multiplier.own_nodal()[self.facet_of_point])
+            self._apply_law(np.where(impact.touches, 0.0, np.inf))
+            self.closed = self.state.status != OPEN
 
     def _apply_law(self, threshold: Array) -> None:
         self.state: LawState = self.law.evaluate(self.Λ, self.at, self.s, threshold)
@@ -288,6 +309,8 @@ class ContactPair:
         λ̂_N exceeds `patience`·ε_N e and is the deepest in its neighbourhood; one that was closed opens where λ̂_N is as far
         below zero. As Newton converges e vanishes and what remains is eq. (1).
         """
+        if self.impact is not None:
+            return  # on the frozen geometry of a time step the law itself decides
         error = residual.duplicate()
         error.pointwiseDivide(residual, self._node_area)
         e = error.norm(PETSc.NormType.NORM_INFINITY) / self.unit
@@ -309,11 +332,9 @@ class ContactPair:
         at_end = self._last_points | (np.einsum("nk,nk->n", self.at.N, self.target.end_nodes[facets]) > 1 - AT_END)
         return bool(self.comm.allreduce(bool((closed & at_end).any()), MPI.LOR))
 
-    def _points_at_end(self) -> NDArray[np.bool_]:
-        """(n,) the Gauss points next to an end of the contactor."""
+    def _points_at_end(self, ends: Index) -> NDArray[np.bool_]:
+        """(n,) the Gauss points next to an end of the contactor, whose nodes have the global blocks `ends`."""
         V = self.facets.space
-        gathered = self.facets.gather()
-        ends = gathered.blocks[gathered.end_nodes]
         own = V.dofmap.index_map.local_to_global(self.facets.dofs.ravel()).reshape(self.facets.dofs.shape)
         weight = np.einsum("qa,fa->fq", self.N, np.isin(own, ends))
         nearest = weight.max(axis=1, keepdims=True, initial=0.0)
@@ -323,12 +344,12 @@ class ContactPair:
     def relative_motion(self) -> float:
         """How far the present displacements have moved closed points over the target since the last evaluation, in
         target facets (collective)."""
-        x, nodes = self.positions()
-        moved = np.einsum(
-            "nk,nki->ni", self.at.N, (nodes - self._target_nodes)[self.target.facets[self.at.point.facet]]
-        )
-        size = np.linalg.norm(x - self._x - moved, axis=1)[self.state.status != OPEN]
-        return self.comm.allreduce(float(size.max(initial=0.0)), MPI.MAX) / self.target.size_of_facets
+        if self.impact is not None:
+            return 0.0
+        self.target.refresh()
+        moved = self.target.positions(self.at.point, self.at.N) - self.at.y
+        size = np.linalg.norm(self.positions() - self._x - moved, axis=1)[self.state.status != OPEN]
+        return self.comm.allreduce(float(size.max(initial=0.0)), MPI.MAX) / self.target.size
 
     def release_held(self) -> bool:
         """Let points that were held to a target facet choose again, once in a solve; whether there were any
@@ -342,6 +363,8 @@ class ContactPair:
     def violation(self) -> float:
         """Largest |λ̂_N| (Pa) at a point held closed against λ̂_N < 0 or open against λ̂_N > 0, over what round-off
         explains, as a share of the largest pressure (collective)."""
+        if self.impact is not None:
+            return 0.0
         λ = np.where(self.at.facing, self.state.λN_hat, 0.0)
         wrong = np.where(self.closed, -λ, λ) - self.ε.normal * self._touch
         worst, largest = (self.comm.allreduce(float(v.max(initial=0.0)), MPI.MAX) for v in (wrong, self.state.p))
@@ -361,8 +384,7 @@ class ContactPair:
 
     def slip(self) -> Array:
         """s = V_T Δt = 𝐲 − φ₂(Y_{n−1}, t), eq. (5): (n, gdim) in m."""
-        old = self._target_nodes[self.target.facets[self.history.facet]]
-        return self.at.y - np.einsum("nk,nki->ni", self._N_old, old)
+        return self.at.y - self.target.positions(self.history, self._N_old)
 
     def commit(self) -> None:
         """The step has converged: Y_{n−1} ← Y."""
@@ -374,7 +396,7 @@ class ContactPair:
         self.history = history.copy()
         if λN_hat is not None:
             self.closed = self.at.facing & (λN_hat >= -self.ε.normal * self._touch)
-        self._N_old: Array = self.target.shape.tabulate(history.η)[0]
+        self._N_old: Array = self.target.weights(history)
 
     # ---------------------------------------------------------------- element arrays
 
@@ -396,7 +418,7 @@ class ContactPair:
         nodes = self.target.facets[self.at.point.facet[closed]]
         return [
             (self.contactor_blocks, on_contactor * ~self._contactor_fixed),
-            (self.target_blocks[nodes], on_target * ~self._target_fixed[nodes]),
+            (self.target.blocks[nodes], on_target * ~self.target.fixed[nodes]),
         ]
 
     def tangent(self) -> Tangent:
@@ -404,7 +426,7 @@ class ContactPair:
         act = self._closed() if self._same_ε else np.arange(len(self.facet_of_point))
         at, s = self.at.take(act), None if self.s is None else self.s[act]
         state = self.state.take(act)
-        δ = vary(at, self.slots)
+        δ = vary(at, self.slots) if self.impact is None else vary_frozen(at, self.slots, self.impact.θ)
         δt, δr = self.law.linearise(state, self.Λ[act], at, s, δ)
         facet, j = self.facet_of_point[act], self.j.reshape(-1)[act]
 
@@ -432,9 +454,9 @@ class ContactPair:
         ΛΛ = ΛΛ.reshape(nf, nq, *ΛΛ.shape[1:]).sum(axis=1)
 
         runs, target, old = self._runs(facet, at, act)
-        U_rows = np.concatenate([self.contactor_blocks[facet[runs]], self.target_blocks[target]], axis=1)
-        fixed = np.concatenate([self._contactor_fixed[facet[runs]], self._target_fixed[target]], axis=1)
-        U_columns = np.concatenate([U_rows, self.target_blocks[old]], axis=1) if self.contact.friction else U_rows
+        U_rows = np.concatenate([self.contactor_blocks[facet[runs]], self.target.blocks[target]], axis=1)
+        fixed = np.concatenate([self._contactor_fixed[facet[runs]], self.target.fixed[target]], axis=1)
+        U_columns = np.concatenate([U_rows, self.target.blocks[old]], axis=1) if self.contact.friction else U_rows
         Λ_nodes, free = self.multiplier.blocks[facet[runs]], ~fixed[:, :, :, None, None]
         return Tangent(
             (U_rows, U_columns, _add_runs(UU, runs) * free),
@@ -483,7 +505,7 @@ class ContactPair:
     def with_neighbours(self, couples: Index) -> Index:
         """Couples with the neighbours of their target facets, so that the pattern outlives a point's slip to the next
         facet. On a curve only: on a surface the fill costs more than the new factorisations."""
-        if self.target.shape.dim > 1:
+        if self.target.dim > 1:
             return couples
         facet, target, old = np.unravel_index(couples, self._couple_shape)
         near = self.target.neighbours
@@ -502,9 +524,9 @@ class ContactPair:
     def pattern(self, couples: Index) -> list[tuple[Index, Index, Array]]:
         """Zero element matrices (UU, UΛ, ΛU, ΛΛ) with the global blocks of the given couples."""
         facet, target, old = np.unravel_index(couples, self._couple_shape)
-        bodies = [self.contactor_blocks[facet], self.target_blocks[self.target.facets[target]]]
+        bodies = [self.contactor_blocks[facet], self.target.blocks[self.target.facets[target]]]
         rows = np.concatenate(bodies, axis=1)
-        past = [self.target_blocks[self.target.facets[old]]] if self.contact.friction else []
+        past = [self.target.blocks[self.target.facets[old]]] if self.contact.friction else []
         columns = np.concatenate([rows, *past], axis=1)
         Λ, own, d, m = self.multiplier.blocks[facet], self.multiplier.blocks, self.gdim, self.multiplier.components
         places = [(rows, columns, d, d), (rows, Λ, d, m), (Λ, columns, m, d), (own, own, m, m)]

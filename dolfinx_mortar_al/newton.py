@@ -214,10 +214,10 @@ class NewtonSolver:
         """The norm below which each block counts as converged."""
         p = self.problem
         forces = [pair.nodal_forces() for pair in p.pairs]
-        scale_U = max([p.force_scale, *forces])
+        scale_U = max([p.force_scale, p.force_reference, *forces])
         scales = [max(self.rtol * scale_U, p.force_floor)]
         for pair, force, floor in zip(p.pairs, forces, p.gap_floor, strict=True):
-            scales.append(pair.unit * max(self.rtol * force / pair.stiffness, floor))
+            scales.append(pair.unit * max(self.rtol * max(force, p.force_reference) / pair.stiffness, floor))
         return scales
 
     def _watch_pattern(self, iteration: int) -> int | None:

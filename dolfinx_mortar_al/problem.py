@@ -18,6 +18,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from dolfinx_mortar_al.added_mass import AddedMass
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.monitors import Finding, Monitor
@@ -80,6 +81,8 @@ class ContactProblem:
             raise ValueError(
                 "u: det F ≤ 0 somewhere in the start state; start from a displacement without inverted cells"
             )
+        #: a change of the bodies' mass in dynamics, with its own force and share of the Jacobian
+        self.added_mass: AddedMass | None = None
         with self.stopwatch("contact set-up"):
             self.pairs = [ContactPair(c, self.bodies, self.stopwatch) for c in contacts]
         with self.stopwatch("bulk"):
@@ -88,7 +91,8 @@ class ContactProblem:
             pair.set_law(pair.surface_stiffness(stiffness))
             pair.start()
         diameter = self.bodies.diameter()
-        self.force_scale = 0.0
+        #: norm of the bulk's forces at the last evaluation, and a size below which forces do not matter (N)
+        self.force_scale, self.force_reference = 0.0, 0.0
         largest = max(k.x.array.max(initial=0.0) for k in stiffness)
         self.force_floor = self.comm.allreduce(2e-15 * largest * diameter, MPI.MAX)
         self.gap_floor = [2e-15 * diameter * pair.area for pair in self.pairs]
@@ -179,6 +183,8 @@ class ContactProblem:
         parts = f.getNestSubVecs()
         with self.stopwatch("bulk"):
             self.force_scale = self.bodies.residual(parts[0])
+            if self.added_mass is not None:
+                self.added_mass.add_force(parts[0])
         for pair, part in zip(self.pairs, parts[1:], strict=True):
             pair.evaluate()
             with self.stopwatch("contact"):
@@ -214,6 +220,9 @@ class ContactProblem:
             self.bodies.assemble_jacobian(self.blocks[0][0])
             if self.tension:
                 self._add_tension()
+            if self.added_mass is not None:
+                self.blocks[0][0].assemble()
+                self.added_mass.add_jacobian(self.blocks[0][0])
         with self.stopwatch("contact"):
             for row in self.blocks:
                 for block in row:

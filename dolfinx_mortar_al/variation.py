@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.projection import Projection
 
-__all__ = ["Slots", "Variation", "vary"]
+__all__ = ["Slots", "Variation", "vary", "vary_frozen"]
 
 Array = NDArray[np.float64]
 
@@ -77,3 +77,12 @@ def vary(at: Projection, slots: Slots) -> Variation:
         δν[corner] = -(turn - ν[:, :, None] * (ν[:, None, :] @ turn)) / at.g[corner, None, None]
     δs = w + aT @ δη - slots.slot(2 + slots.dim) if slots.friction else None
     return Variation(δη, δg, δν, slots.multiplier_slot()[None], δs)
+
+
+def vary_frozen(at: Projection, slots: Slots, θ: float) -> Variation:
+    """Variation where the geometry is frozen and gap and slip are Δt × velocities, (δ𝐱 − w)/θ: Moreau's scheme."""
+    n, z = len(at.g), slots.size
+    drift = (slots.slot(0) - slots.slot(1)) / θ
+    δs = np.broadcast_to(drift, (n, *drift.shape)) if slots.friction else None
+    zero_η, zero_ν = np.zeros((n, slots.dim, z)), np.zeros((n, slots.gdim, z))
+    return Variation(zero_η, -at.ν @ drift, zero_ν, slots.multiplier_slot()[None], δs)

@@ -45,7 +45,7 @@ def test_action_equals_reaction():
     problem, P = beams(friction=0.3)
     solve(problem, P, 5.0, 2)
     pair, comm = problem.pairs[0], problem.comm
-    pair._contactor_fixed[:] = pair._target_fixed[:] = False  # count what the clamps take, too
+    pair._contactor_fixed[:] = pair.target.fixed[:] = False  # count what the clamps take, too
     on = [np.sum(comm.allgather(values.sum(axis=(0, 1))), axis=0) for _, values in pair.body_residual()]
     assert np.linalg.norm(on[0]) > 1.0
     assert np.allclose(on[0], -on[1], rtol=1e-10)

@@ -1,0 +1,146 @@
+"""The target's side of a contact pair: a deformable surface, or a rigid obstacle without unknowns.
+
+Both answer the same questions: where is the closest point, where is a material point now, which unknowns move it. A rigid
+obstacle has no nodes, so that every array over target nodes is empty.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.obstacles import Obstacle
+from dolfinx_mortar_al.projection import Projection, TargetPoint, project
+from dolfinx_mortar_al.search import CandidateSearch
+from dolfinx_mortar_al.surface import Facets, Surface
+
+__all__ = ["DeformableTarget", "RigidTarget", "Target", "target_of"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+class Target(ABC):
+    """What a contact pair needs to know of its target.
+
+    Attributes:
+        facets: (nf, k) nodes of each facet, indices into `blocks`; neighbours: (nf, m) facets that share a side with each.
+        blocks: (nodes,) numbers of the target's nodes among all bodies'.
+        fixed: (nodes, gdim) whether a component is prescribed; end_nodes: (nodes,) whether a node lies on an end.
+        size: largest diameter of a facet (m), the length by which gaps are judged.
+        dim: of the surface.
+    """
+
+    facets: Index
+    neighbours: Index
+    blocks: Index
+    fixed: NDArray[np.bool_]
+    end_nodes: NDArray[np.bool_]
+    size: float
+    dim: int
+
+    @abstractmethod
+    def refresh(self) -> None:
+        """Take up the present displacements or pose (collective)."""
+
+    @abstractmethod
+    def project(self, x: Array, previous: TargetPoint | None, held: NDArray[np.bool_] | None) -> Projection:
+        """The closest-point map of 𝐱 (n, gdim) onto the target as it is now."""
+
+    @abstractmethod
+    def weights(self, point: TargetPoint) -> Array:
+        """(n, k) shape functions of the target's nodes at material points."""
+
+    @abstractmethod
+    def positions(self, point: TargetPoint, weights: Array) -> Array:
+        """(n, gdim) where material points are now, φ₂(Y, t)."""
+
+    @abstractmethod
+    def stiffness(self, diagonals: Sequence[fem.Function], thickness: float) -> float:
+        """Mean nodal stiffness per area (Pa/m), from the diagonals (N/m) of the bodies' matrices."""
+
+
+class DeformableTarget(Target):
+    """A surface of a body or membrane, whole on every rank; only its positions travel."""
+
+    def __init__(self, surface: Surface, bodies: Bodies) -> None:
+        k = bodies.index(surface.mesh)
+        self._body = bodies.bodies[k]
+        self.surface = Facets.of(surface, self._body.space).gather()
+        self.search = CandidateSearch(self.surface)
+        self.facets, self.neighbours = self.surface.facets, self.surface.neighbours
+        self.blocks, self.end_nodes = bodies.common(k, self.surface.blocks), self.surface.end_nodes
+        self.size, self.dim = self.surface.size_of_facets, self.surface.shape.dim
+        self._gdim = bodies.gdim
+        where = PETSc.IS().createBlock(self._gdim, self.surface.blocks.astype(np.int32), comm=PETSc.COMM_SELF)
+        self._vec = PETSc.Vec().createSeq(len(self.surface.blocks) * self._gdim)
+        self._scatter = PETSc.Scatter().create(self._body.u.x.petsc_vec, where, self._vec, None)
+        self.fixed = self.at_nodes(self._body.prescribed()) > 0
+        self.refresh()
+
+    def at_nodes(self, u: fem.Function) -> Array:
+        """(nodes, gdim) values of a Function of the target's body at its nodes (collective)."""
+        self._scatter.scatter(u.x.petsc_vec, self._vec)
+        return np.asarray(self._vec.array_r.reshape(-1, self._gdim).copy())
+
+    def refresh(self) -> None:
+        self._nodes = self.surface.X + self.at_nodes(self._body.u)
+
+    def project(self, x: Array, previous: TargetPoint | None, held: NDArray[np.bool_] | None) -> Projection:
+        return project(self.surface, self._nodes, x, self.search(x, self._nodes), previous, held)
+
+    def at_reference(self, X: Array) -> Projection:
+        """The closest-point map of reference points onto the reference target."""
+        x = self.surface.X
+        return project(self.surface, x, X, CandidateSearch(self.surface)(X, x))
+
+    def weights(self, point: TargetPoint) -> Array:
+        return self.surface.shape.tabulate(point.η)[0]
+
+    def positions(self, point: TargetPoint, weights: Array) -> Array:
+        return np.einsum("nk,nki->ni", weights, self._nodes[self.facets[point.facet]])
+
+    def stiffness(self, diagonals: Sequence[fem.Function], thickness: float) -> float:
+        own = next(d for d in diagonals if d.function_space is self._body.space)
+        k = self.at_nodes(own)[self.facets].mean(axis=(1, 2))
+        return float(np.mean(k / (self.surface.areas() * thickness)))
+
+
+class RigidTarget(Target):
+    """A rigid obstacle; `size` is that of the contactor's facets."""
+
+    def __init__(self, obstacle: Obstacle, gdim: int, size: float) -> None:
+        if obstacle.gdim != gdim:
+            raise ValueError(f"target: an obstacle in {obstacle.gdim} dimensions for bodies in {gdim}")
+        self.obstacle, self.size, self.dim = obstacle, size, gdim - 1
+        self.facets, self.neighbours = np.zeros((1, 0), dtype=np.int64), np.zeros((1, 1), dtype=np.int64)
+        self.blocks, self.end_nodes = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
+        self.fixed = np.zeros((0, gdim), dtype=bool)
+
+    def refresh(self) -> None:
+        pass
+
+    def project(self, x: Array, previous: TargetPoint | None, held: NDArray[np.bool_] | None) -> Projection:
+        return self.obstacle.project(x)
+
+    def weights(self, point: TargetPoint) -> Array:
+        return np.zeros((len(point.facet), 0))
+
+    def positions(self, point: TargetPoint, weights: Array) -> Array:
+        return self.obstacle.positions(point.η)
+
+    def stiffness(self, diagonals: Sequence[fem.Function], thickness: float) -> float:
+        return np.inf
+
+
+def target_of(target: Surface | Obstacle, bodies: Bodies, size: float) -> Target:
+    """The target of a contact description; `size`: of the contactor's facets (m)."""
+    if isinstance(target, Obstacle):
+        return RigidTarget(target, bodies.gdim, size)
+    return DeformableTarget(target, bodies)
