@@ -1,6 +1,7 @@
 """Frictional contact under large deformation for FEniCSx: the mixed augmented-Lagrangian form of Le van and Nguyen."""
 
 from dolfinx_mortar_al import dynamics, loads, materials, membrane, monitors, obstacles, output, quasistatic
+from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.meshfile import read_msh
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
@@ -8,6 +9,7 @@ from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.surface import Surface
 
 __all__ = [
+    "Checkpoint",
     "Contact",
     "ContactPair",
     "ContactProblem",

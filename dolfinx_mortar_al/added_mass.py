@@ -3,6 +3,9 @@
 Nodes without mass stop at impact without losing kinetic energy. The consistent mass m_ij of the body is replaced by
 m_ij f_i f_j (1 + Σ_cd μ_cd p_c(X_i) p_d(X_j)), f = 0 on the contactor and 1 elsewhere, p = 1, X, Y(, Z); the symmetric μ_cd
 are such that total mass, centre and inertia stay what they were. DOI 10.1016/j.euromechsol.2008.01.001.
+
+Meant for bodies that touch without much sliding: with θ = 1/2 the end-of-step velocity of a node without mass swings about
+its mean, and on the disc of section 4.4 that stops Newton.
 """
 
 from __future__ import annotations

@@ -398,6 +398,15 @@ class ContactPair:
             self.closed = self.at.facing & (λN_hat >= -self.ε.normal * self._touch)
         self._N_old: Array = self.target.weights(history)
 
+    def resume(self, history: TargetPoint, λN_hat: Array) -> None:
+        """Take up a saved slip history and contact state at the present displacements."""
+        self.at.point = history.copy()  # where the closest points are searched from
+        self.begin()
+        self.target.refresh()
+        self._x = self.positions()
+        self.at = self.target.project(self._x, self.at.point, None)
+        self.restore(history, λN_hat)
+
     # ---------------------------------------------------------------- element arrays
 
     def _closed(self) -> Index:
@@ -537,6 +546,14 @@ class ContactPair:
     def force(self) -> Array:
         """(gdim,) resultant of the contact tractions on the contactor (N), collective."""
         return self.comm.allreduce(np.einsum("n,ni->i", self.j.reshape(-1), self.state.t))
+
+    def moment(self, about: Sequence[float]) -> Array:
+        """Moment of the contact tractions on the contactor about a point (N m; 3 components, or 1 in the plane),
+        collective. A rigid obstacle feels the opposite, as it does of :meth:`force`."""
+        arm, t = self._x - np.asarray(about), self.j.reshape(-1, 1) * self.state.t
+        if self.gdim == 3:
+            return np.asarray(self.comm.allreduce(np.cross(arm, t).sum(axis=0)))
+        return np.atleast_1d(self.comm.allreduce(float(np.sum(arm[:, 0] * t[:, 1] - arm[:, 1] * t[:, 0]))))
 
     def nodal_forces(self) -> float:
         """Norm of the contactor's nodal contact forces ∫ N |t| (N), collective: the scale of both residuals."""

@@ -88,7 +88,8 @@ class Motion:
         self.residual = thickness * (density * ufl.inner(rate, w) + ufl.inner(P, ufl.grad(w))) * self.dx
         if external is not None:
             self.residual -= external
-        self._work = None if external is None else fem.form(ufl.action(external, u - self.old))
+        work = None if external is None else ufl.replace(external, {w: u - self.old})
+        self._work = None if work is None else fem.form(work)
         self._energies = self.energy_forms()
         self._momenta = self._momentum_forms()
 

@@ -15,10 +15,10 @@ from basix import make_quadrature
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.materials import deformation_gradient
+from dolfinx_mortar_al.materials import Hyperelastic, deformation_gradient
 from dolfinx_mortar_al.membrane import NeoHookeanMembrane
 
-__all__ = ["Finding", "Monitor", "inversion", "wrinkling"]
+__all__ = ["Finding", "Monitor", "ellipticity", "inversion", "wrinkling"]
 
 
 @dataclass(frozen=True)
@@ -91,3 +91,26 @@ def inversion(u: fem.Function) -> Monitor:
     """Least det 𝐅 of a body; at or below zero matter is turned inside out."""
     meaning = "a cell is inverted"
     return Monitor("det F", ufl.det(deformation_gradient(u)), u, bound=0.0, meaning=meaning, fatal=True)
+
+
+def ellipticity(material: Hyperelastic, u: fem.Function, directions: int = 16) -> Monitor:
+    """Least eigenvalue (Pa) of the acoustic tensor A_ik = ∂P_iJ/∂F_kL N_J N_L of a plane body over some directions N.
+
+    At or below zero the law has lost ellipticity: no wave goes through, and the deformation localises in a cell's width.
+
+    Raises:
+        ValueError: on a displacement that is not plane.
+    """
+    if len(u) != 2:
+        raise ValueError(f"u has {len(u)} components: ellipticity is watched in the plane only")
+    F = ufl.variable(deformation_gradient(u))
+    C = ufl.diff(material.first_piola(F), F)  # ∂P_iJ/∂F_kL
+    least: Any = None
+    for φ in np.arange(directions) * np.pi / directions:
+        N = ufl.as_vector([float(np.cos(φ)), float(np.sin(φ))])
+        i, J, k, L = ufl.indices(4)
+        A = ufl.as_tensor(C[i, J, k, L] * N[J] * N[L], (i, k))
+        value = (A[0, 0] + A[1, 1]) / 2 - ufl.sqrt(((A[0, 0] - A[1, 1]) / 2) ** 2 + A[0, 1] ** 2)
+        least = value if least is None else ufl.min_value(least, value)
+    meaning = f"{type(material).__name__} loses ellipticity"
+    return Monitor("acoustic tensor (Pa)", least, u, bound=0.0, meaning=meaning, fatal=True)

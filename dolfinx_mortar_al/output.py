@@ -28,17 +28,33 @@ class History:
         problem: its communicator's rank 0 writes.
         directory: where to write; made if missing.
         columns: names, in order, of every row.
+        resume: keep the rows of an interrupted run whose first column is at most this.
     """
 
-    def __init__(self, problem: ContactProblem, directory: Path, columns: Sequence[str]) -> None:
+    def __init__(
+        self, problem: ContactProblem, directory: Path, columns: Sequence[str], resume: float | None = None
+    ) -> None:
         self.columns, self.rows = list(columns), []  # type: list[str], list[dict[str, float]]
         self.path = directory / "history.csv"
         self._writes = problem.comm.rank == 0
         if self._writes:
             directory.mkdir(parents=True, exist_ok=True)
-            with self.path.open("w", newline="") as file:
+            self.rows = [] if resume is None else self._rows_until(resume)
+            temporary = self.path.with_suffix(".tmp")
+            with temporary.open("w", newline="") as file:
                 csv.writer(file).writerow(self.columns)
-        problem.comm.Barrier()
+                csv.writer(file).writerows([[repr(row[name]) for name in self.columns] for row in self.rows])
+            temporary.replace(self.path)
+        self.rows = problem.comm.bcast(self.rows, root=0)
+
+    def _rows_until(self, last: float) -> list[dict[str, float]]:
+        """The complete rows on disk up to `last`."""
+        if not self.path.exists():
+            return []
+        lines = self.path.read_text().split("\n")[:-1]  # a line cut short has no end
+        rows = [row for row in csv.reader(lines[1:]) if len(row) == len(self.columns)]
+        kept = [dict(zip(self.columns, map(float, row), strict=True)) for row in rows]
+        return [row for row in kept if row[self.columns[0]] <= last * (1 + 1e-12)]
 
     def add(self, **row: float) -> None:
         """Append a row; the same on every rank.
@@ -124,6 +140,7 @@ class Run:
         columns: of the history; newton_iterations and wall_time are filled in from the step.
         parameters: for the summary.
         paraview: whether to write .bp series.
+        resume: go on with the history of an interrupted run, from this time (or load) in its first column.
     """
 
     def __init__(
@@ -133,9 +150,10 @@ class Run:
         columns: Sequence[str],
         parameters: Mapping[str, Any],
         paraview: bool = False,
+        resume: float | None = None,
     ) -> None:
         self.problem, self.directory, self.parameters = problem, directory, dict(parameters)
-        self.history = History(problem, directory, columns)
+        self.history = History(problem, directory, columns, resume)
         self._paraview = ParaView(problem, directory) if paraview else None
         self._rejected = 0
 

@@ -1,0 +1,70 @@
+"""A run killed at any moment and resumed has the history of one that was not."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from scenes import beams
+
+from dolfinx_mortar_al import Checkpoint
+
+SCRIPT = str(Path(__file__).with_name("killed_run.py"))
+
+
+def rows(directory):
+    return np.genfromtxt(directory / "history.csv", delimiter=",", names=True)
+
+
+@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own ranks")
+@pytest.mark.parametrize("kind, ranks", [("impact", 1), ("impact", 2), ("bending", 1)])
+def test_killed_at_random_times_and_resumed(tmp_path, kind, ranks):
+    """SIGKILL at random times, some during start-up, until the run gets through; every number but times to 1e-9 (impact;
+    what round-off of another order of assembly leaves after a few dozen steps). The slip histories and the contact states
+    resume exactly; the predictor of a quasi-static march does not, which Newton's tolerance allows 1e-7."""
+    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
+    command = [*launcher, sys.executable, SCRIPT]
+    subprocess.run([*command, str(tmp_path / "whole"), kind], check=True, capture_output=True, timeout=300)
+    rng, killed = np.random.default_rng(ranks + len(kind)), 0
+    for _ in range(40):
+        run = subprocess.Popen(
+            [*command, str(tmp_path / "cut"), kind],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        try:
+            run.wait(timeout=rng.uniform(0.8, 2.5) if killed < 4 else 300)
+            assert run.returncode == 0 and b"finished" in run.stdout.read()
+            break
+        except subprocess.TimeoutExpired:
+            os.killpg(run.pid, signal.SIGKILL)
+            run.wait()
+            killed += 1
+            time.sleep(0.1)
+    assert killed > 0
+    whole, cut = rows(tmp_path / "whole"), rows(tmp_path / "cut")
+    assert len(whole) == len(cut)
+    for name in whole.dtype.names:
+        if name not in ("wall_time", "newton_iterations"):
+            size = np.abs(whole[name]).max()
+            assert np.allclose(cut[name], whole[name], rtol=0, atol=(1e-9 if kind == "impact" else 1e-7) * size), name
+
+
+def test_another_problem_is_refused(shared_path):
+    problem, _ = beams()
+    Checkpoint(shared_path, problem).save(0.0)
+    other, _ = beams(order=1)
+    with pytest.raises(ValueError, match="made by another problem"):
+        Checkpoint(shared_path, other).load()
+    assert Checkpoint(shared_path, problem).load().at == 0.0
+
+
+def test_nothing_saved_yet(shared_path):
+    problem, _ = beams()
+    assert Checkpoint(shared_path, problem).load() is None

@@ -1,0 +1,191 @@
+"""Moreau's scheme on free flights and impacts: balances of energy and momentum, materials, adaptivity, bad input."""
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, monitors, obstacles, quasistatic
+from meshes.disc import RIM, Disc
+
+LAWS = {"svk": materials.saint_venant_kirchhoff, "neo": materials.neo_hookean}
+
+
+def disc(
+    comm=MPI.COMM_WORLD, *, law="neo", velocity, step=1e-3, friction=0.3, gap=0.0, E=1.333e6, watch=False, **options
+):
+    """A coarse disc of radius 0.1 m above a plane: (problem, motion)."""
+    mesh, _, tags = Disc(size=0.04, order=1, height=0.1 + gap).create(comm)
+    u = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (2,))))
+    material = LAWS[law](E, 0.333)
+    motion = dynamics.Motion(u, material, density=6000, step=step, thickness=0.02, **options)
+    motion.velocity.interpolate(velocity)
+    plane = obstacles.RigidPlane([0.0, 0.0], [0.0, 1.0])
+    contact = Contact(Surface(mesh, tags, RIM), plane, friction=friction, thickness=0.02)
+    watched = [monitors.inversion(u), monitors.ellipticity(material, u)] if watch else []
+    return ContactProblem(motion.residual, u, contacts=[contact], monitors=watched), motion
+
+
+def stretched(x):
+    """A spin with a stretching motion: large rotations and strains."""
+    return np.stack([-60 * (x[1] - 0.6) + 12 * x[0], 60 * x[0] - 8 * (x[1] - 0.6)])
+
+
+@pytest.mark.parametrize("law", ["svk", "neo"])
+def test_free_flight_keeps_energy_and_both_momenta(law):
+    """Spinning and vibrating for 40 steps of a thirtieth turn: defects of round-off with the consistent force."""
+    problem, motion = disc(law=law, velocity=stretched, gap=0.5, step=2e-3, E=1e5)
+    first, last = motion.momenta(), None
+    energy = sum(motion.energies())
+    strains = []
+    for step in dynamics.march(problem, motion, to=0.08):
+        last = step.ledger
+        strains.append(last.strain / energy)
+    assert max(strains) > 0.05  # it does vibrate
+    assert last.kinetic + last.strain == pytest.approx(energy, rel=1e-9)
+    assert abs(last.energy_defect) < 1e-9 * energy
+    assert np.allclose(motion.momenta(), first, rtol=0, atol=1e-9 * np.abs(first).max())
+
+
+def test_the_trapezoidal_force_does_not():
+    """The same flight with θ-weighted end forces: the defect is there and the ledger says so."""
+    problem, motion = disc(velocity=stretched, gap=0.5, step=2e-3, E=1e5, force="trapezoidal")
+    energy = sum(motion.energies())
+    *_, step = dynamics.march(problem, motion, to=0.08)
+    found = step.ledger.kinetic + step.ledger.strain - energy
+    assert abs(found) > 1e-4 * energy
+    assert step.ledger.energy_defect == pytest.approx(found, rel=1e-6)
+
+
+@pytest.mark.parametrize("law", ["svk", "neo"])
+def test_discrete_gradient_does_the_work_of_the_energy(law):
+    """P̄ : (F₁ − F₀) = w(F₁) − w(F₀) for large and for small steps; and P̄ → P: both to round-off of w."""
+    material = LAWS[law](2.0, 0.3)
+    mesh = Disc(size=0.1, order=1).create(MPI.COMM_SELF)[0]
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    u0, u1 = fem.Function(V), fem.Function(V)
+    rng = np.random.default_rng(0)
+    u0.x.array[:] = 0.01 * rng.standard_normal(len(u0.x.array))
+    shape = rng.standard_normal(len(u0.x.array))
+    F0, F1 = materials.deformation_gradient(u0), materials.deformation_gradient(u1)
+    P = material.mean_first_piola(F0, F1)
+    work = fem.form(ufl.inner(P, F1 - F0) * ufl.dx(mesh))
+    energy = fem.form((material.energy(F1) - material.energy(F0)) * ufl.dx(mesh))
+    miss = fem.form(ufl.inner(P - material.first_piola(F0), P - material.first_piola(F0)) * ufl.dx(mesh))
+    for size in (1e-2, 1e-4, 1e-7, 1e-12):
+        u1.x.array[:] = u0.x.array + size * shape
+        assert fem.assemble_scalar(work) == pytest.approx(fem.assemble_scalar(energy), abs=1e-15)
+    assert np.sqrt(fem.assemble_scalar(miss)) < 1e-9
+
+
+def test_a_disc_dropped_without_friction_does_not_turn():
+    """μ = 0, straight down: angular momentum about the centre zero to 1e-10 of m V R, momentum balance to 1e-10."""
+    problem, motion = disc(velocity=lambda x: np.stack([0 * x[0], -3 + 0 * x[0]]), friction=0.0)
+    momentum, push = motion.momenta(), np.zeros(2)
+    for step in dynamics.march(problem, motion, to=0.06):
+        push += step.step * step.forces[0]
+    now = motion.momenta()
+    size = abs(momentum[1])
+    assert now[1] > 0.5 * size  # it has rebounded
+    assert np.allclose(now[:2] - momentum[:2], push, atol=1e-10 * size)
+    m = motion.integral(fem.form(motion.thickness * motion.density * motion.dx))
+    X = ufl.SpatialCoordinate(motion.u.function_space.mesh)
+    centre = [motion.integral(fem.form(120.0 * (X[k] + motion.old[k]) * motion.dx)) / m for k in range(2)]
+    assert abs(now[2] - centre[0] * now[1] + centre[1] * now[0]) < 1e-10 * size * 0.1
+
+
+@pytest.mark.parametrize("gap, speed", [(0.05, [3.0, -0.1]), (0.0, [3.0, 0.0]), (1e-9, [3.0, 0.0])])
+def test_flying_by_and_grazing_cost_nothing(gap, speed):
+    problem, motion = disc(velocity=lambda x: np.outer(speed, 1 + 0 * x[0]), gap=gap)
+    energy = sum(motion.energies())
+    *_, step = dynamics.march(problem, motion, to=0.01)
+    assert step.ledger.kinetic == pytest.approx(energy, rel=1e-10)
+    assert abs(step.ledger.impact_loss) + abs(step.ledger.friction_dissipation) < 1e-10 * energy
+
+
+def test_at_rest_in_contact():
+    """A disc that starts at rest on the plane under its own weight: it sinks in, nothing is lost but to the impact."""
+    mesh, _, tags = Disc(size=0.04, order=1).create()
+    u = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (2,))))
+    weight = -6000 * 0.02 * 50.0 * ufl.TestFunction(u.function_space)[1] * ufl.dx(mesh)
+    motion = dynamics.Motion(
+        u, materials.neo_hookean(1.333e6, 0.333), density=6000, step=1e-3, thickness=0.02, external=weight
+    )
+    plane = obstacles.RigidPlane([0.0, 0.0], [0.0, 1.0])
+    contact = Contact(Surface(mesh, tags, RIM), plane, friction=0.3, thickness=0.02)
+    problem = ContactProblem(motion.residual, u, contacts=[contact])
+    *_, step = dynamics.march(problem, motion, to=0.03)
+    ledger = step.ledger
+    assert step.forces[0][1] > 0
+    assert ledger.external_work > 0
+    balance = ledger.external_work - ledger.friction_dissipation - ledger.impact_loss
+    assert ledger.kinetic + ledger.strain == pytest.approx(balance, rel=1e-8)
+
+
+def test_a_plane_that_moves_does_work():
+    """A belt under the disc spins it up; its work closes the ledger to 1e-8."""
+    problem, motion = disc(velocity=lambda x: np.stack([0 * x[0], -2 + 0 * x[0]]))
+    plane = problem.pairs[0].contact.target
+    energy = sum(motion.energies())
+    *_, step = dynamics.march(problem, motion, to=0.05, move=lambda t: plane.move([5.0 * t, 0.0]))
+    assert step.ledger.external_work > 0.01 * energy
+    assert step.ledger.momentum[0] > 0
+    assert abs(step.ledger.energy_defect) < 1e-8 * energy
+
+
+def test_the_step_adapts_and_meets_the_asked_for_times():
+    problem, motion = disc(velocity=lambda x: np.stack([1 + 0 * x[0], -3 + 0 * x[0]]))
+    energy, calls = sum(motion.energies()), []
+    from dolfinx_mortar_al.newton import NewtonSolver
+
+    class FailsTwice(NewtonSolver):
+        def solve(self, path=None):
+            result = super().solve(path)
+            calls.append(motion.Δt.value.item())
+            result.converged &= len(calls) not in (3, 4)
+            return result
+
+    steps = list(dynamics.march(problem, motion, to=0.01, solver=FailsTwice(problem, rtol=1e-11)))
+    assert sum(step.rejected for step in steps) == 2
+    assert np.allclose([step.time for step in steps if step.nominal], np.arange(1, 11) * 1e-3, rtol=1e-12)
+    assert abs(steps[-1].ledger.energy_defect) < 1e-9 * energy
+
+
+def test_loss_of_ellipticity_ends_the_run_with_its_place():
+    """St Venant–Kirchhoff at 40 m/s: the run ends with the monitor's message, and the state is the last sound one."""
+    problem, motion = disc(
+        law="svk", velocity=lambda x: np.stack([39 + 0 * x[0], -39 + 0 * x[0]]), watch=True, step=1e-4
+    )
+    times = [0.0]
+    with pytest.raises(quasistatic.StepFailure, match=r"(loses ellipticity|inverted|det F)"):
+        for step in dynamics.march(problem, motion, to=0.01, smallest=2.0**-4):
+            times.append(step.time)
+    assert times[-1] < 5e-3
+    assert problem.inverted_volume() == 0.0
+
+
+def test_ranks_agree_with_one_rank():
+    found = []
+    for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
+        problem, motion = disc(comm, velocity=lambda x: np.stack([2 - 20 * (x[1] - 0.1), -3 + 20 * x[0]]))
+        *_, step = dynamics.march(problem, motion, to=0.012)
+        ledger = step.ledger
+        found.append([ledger.kinetic, ledger.strain, ledger.friction_dissipation, ledger.impact_loss, *step.forces[0]])
+    assert np.allclose(found[0], found[1], rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ({"density": 0.0}, "density = 0"),
+        ({"theta": 0.4}, "theta = 0.4"),
+        ({"force": "x"}, 'force = "x"'),
+        ({"step": -1.0}, "step = -1"),
+    ],
+)
+def test_bad_input(options, words):
+    mesh = Disc(size=0.1, order=1).create(MPI.COMM_SELF)[0]
+    u = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (2,))))
+    with pytest.raises(ValueError, match=words):
+        dynamics.Motion(u, materials.neo_hookean(1.0, 0.3), **({"density": 1.0, "step": 1.0} | options))

@@ -1,0 +1,148 @@
+"""Rigid obstacles as targets of quasi-static contact."""
+
+import numpy as np
+import pytest
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from scenes import NU, E
+
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, obstacles, quasistatic
+
+TOP = 7
+
+
+def block(
+    obstacle, comm=MPI.COMM_WORLD, *, dim=2, cells=8, size=1.0, height=0.5, friction=0.0, order=2, confined=False
+):
+    """A block y ∈ [−height, 0] held at its bottom (and, `confined`, at its sides by rollers), under an obstacle."""
+    low, high = [-size / 2, -height, -size / 2][:dim], [size / 2, 0.0, size / 2][:dim]
+    grid = [cells, cells // 2, cells][:dim]
+    domain = (mesh.create_rectangle if dim == 2 else mesh.create_box)(comm, [low, high], grid)
+    d = domain.topology.dim
+    top = mesh.locate_entities_boundary(domain, d - 1, lambda x: np.isclose(x[1], 0.0))
+    tags = mesh.meshtags(domain, d - 1, np.sort(top), np.full(len(top), TOP, dtype=np.int32))
+    V = fem.functionspace(domain, ("Lagrange", order, (dim,)))
+    u = fem.Function(V)
+    bottom = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], -height))
+    bcs = [fem.dirichletbc(np.zeros(dim), bottom, V)]
+    for axis in [a for a in range(dim) if a != 1 and confined]:
+        W = V.sub(axis).collapse()[0]
+        side = fem.locate_dofs_geometrical((V.sub(axis), W), lambda x, a=axis: np.isclose(np.abs(x[a]), size / 2))
+        bcs.append(fem.dirichletbc(fem.Function(W), side, V.sub(axis)))
+    F = materials.saint_venant_kirchhoff(E, NU).virtual_work(u)
+    contact = Contact(Surface(domain, tags, TOP), obstacle, friction=friction)
+    return ContactProblem(F, u, bcs=bcs, contacts=[contact])
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_plane_that_compresses_a_confined_block(dim):
+    """Uniaxial strain, exact: P = l (Λ + 2G)(l² − 1)/2 with l = 1 − 0.2, to Newton's tolerance."""
+    normal = -np.eye(dim)[1]
+    plane = obstacles.RigidPlane(np.zeros(dim), normal)
+    problem = block(plane, dim=dim, cells=4, confined=True)
+    for _ in quasistatic.march(problem, lambda t: plane.move(0.1 * t * normal), to=1.0, increments=2):
+        pass
+    G, Λ = materials.lame(E, NU)
+    l = 0.8
+    pair = problem.pairs[0]
+    assert pair.force()[1] == pytest.approx(l * (Λ + 2 * G) * (l**2 - 1) / 2, rel=1e-8)
+    assert np.allclose(pair.moment(np.zeros(dim)), 0.0, atol=1e-6 * abs(pair.force()[1]))
+    assert pair.closed_fraction() == 1.0
+
+
+def test_a_plane_that_slides_drags_with_coulombs_force():
+    """Pressed down, then moved along: at last all points slip and the force is μ times the normal one, to 1e-8; and back."""
+    plane = obstacles.RigidPlane([0.0, 0.0], [0.0, -1.0])
+    problem = block(plane, friction=0.2)
+    pair = problem.pairs[0]
+    for _ in quasistatic.march(problem, lambda t: plane.move([0.0, -0.02 * t]), to=1.0, increments=2):
+        pass
+    for way in (1.0, -1.0):
+        for _ in quasistatic.march(problem, lambda t, w=way: plane.move([w * 0.1 * t, -0.02]), to=1.0, increments=10):
+            pass
+        assert pair.stick_fraction() == 0.0
+        assert pair.force()[0] == pytest.approx(way * 0.2 * abs(pair.force()[1]), rel=1e-8)
+
+
+def test_a_turning_circle_drags_too():
+    """A circle pressed in and turned about its centre: tangential force and moment have the sense of the turn."""
+    circle = obstacles.RigidSphere([0.0, 1.0], 1.0)
+    problem = block(circle, friction=0.3, cells=16)
+    pair = problem.pairs[0]
+    for _ in quasistatic.march(problem, lambda t: circle.move([0.0, -0.02 * t]), to=1.0, increments=2):
+        pass
+    assert abs(pair.force()[0]) < 1e-2 * abs(pair.force()[1])  # the mesh's diagonals are not symmetric
+    for _ in quasistatic.march(problem, lambda t: circle.move([0.0, -0.02], 0.1 * t), to=1.0, increments=5):
+        pass
+    fx, fy = pair.force()
+    assert fx == pytest.approx(0.3 * abs(fy), rel=5e-2)  # its lowest point moves to +x; tractions lean with the surface
+    on_circle = -pair.moment([0.0, 0.98])[0]
+    assert on_circle == pytest.approx(-0.3 * abs(fy), rel=8e-2)  # the block resists the turn, at the lever R = 1
+
+
+def test_hertz():
+    """A circle on a large block: p₀ = √(F E*/(πR)), E* = E/(1 − ν²); 3 % for the finite block and mesh."""
+    circle = obstacles.RigidSphere([0.0, 5.0], 5.0)
+    problem = block(circle, cells=80, size=4.0, height=2.0)
+    for _ in quasistatic.march(problem, lambda t: circle.move([0.0, -0.02 * t]), to=1.0, increments=2):
+        pass
+    pair = problem.pairs[0]
+    F = -pair.force()[1]
+    assert pair.largest_pressure() == pytest.approx(np.sqrt(F * E / (1 - NU**2) / (np.pi * 5.0)), rel=3e-2)
+
+
+def test_ranks_agree_with_one_rank():
+    found = []
+    for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
+        ball = obstacles.RigidSphere([0.0, 0.5, 0.0], 0.5)
+        problem = block(ball, comm, dim=3, cells=6, friction=0.3, order=1)
+        for _ in quasistatic.march(
+            problem, lambda t, b=ball: b.move([0.02 * t, -0.05 * t, 0.0], [0, 0.3 * t, 0]), to=1.0, increments=2
+        ):
+            pass
+        found.append([*problem.pairs[0].force(), *problem.pairs[0].moment([0, 0, 0])])
+    assert np.allclose(found[0], found[1], rtol=1e-8, atol=1e-8 * abs(found[0][1]))
+
+
+def test_an_obstacle_of_another_dimension():
+    with pytest.raises(ValueError, match="an obstacle in 3 dimensions"):
+        block(obstacles.RigidPlane([0.0, 0, 0], [0.0, 1, 0]))
+
+
+def test_tangent_on_a_curved_obstacle():
+    """The Jacobian against central differences, friction, points inside and outside the circle: below 1e-6."""
+    circle = obstacles.RigidSphere([0.1, 0.5], 0.5)
+    problem = block(circle, friction=0.4, cells=6)
+    pair = problem.pairs[0]
+    rng = np.random.default_rng(1)
+    x = problem.u.x.array
+    free = problem.bodies.bodies[0].prescribed().x.array == 0
+    base, direction = 5e-3 * free * rng.standard_normal(len(x)), free * rng.standard_normal(len(x))
+    Λ = pair.multiplier.field.x.array
+    base_Λ, direction_Λ = 1e4 * rng.standard_normal(len(Λ)) - 1e4, 1e6 * rng.standard_normal(len(Λ))
+
+    def at(h):
+        x[:], Λ[:] = base + h * direction, base_Λ + h * direction_Λ
+        problem.u.x.scatter_forward()
+        pair.multiplier.field.x.scatter_forward()
+        problem.pack(problem.x)
+        problem.assemble_residual(problem.x, problem.residual)
+        return [part.array.copy() for part in problem.residual.getNestSubVecs()]
+
+    at(0.0)
+    circle.move([1e-3, -0.01])
+    pair.closed = pair.at.facing & (pair.state.λN_hat > 0)
+    pair.switch = lambda residual: None
+    at(0.0)
+    problem.assemble_jacobian()
+    x[:], Λ[:] = direction, direction_Λ
+    problem.u.x.scatter_forward()
+    pair.multiplier.field.x.scatter_forward()
+    d, Kd = problem.x.duplicate(), problem.x.duplicate()
+    problem.pack(d)
+    problem.matrix.mult(d, Kd)
+    plus, minus = at(1e-8), at(-1e-8)
+    for k, part in enumerate(Kd.getNestSubVecs()):
+        difference = (plus[k] - minus[k]) / 2e-8
+        error = problem.comm.allreduce(float(np.sum((difference - part.array) ** 2)))
+        assert np.sqrt(error) < 1e-6 * part.norm()
