@@ -12,6 +12,7 @@ from meshes.two_beams import TwoBeams
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
 import two_beams
+import two_membranes
 
 
 def run(monkeypatch, directory, *arguments):
@@ -43,6 +44,23 @@ def test_two_beams_with_friction(monkeypatch, shared_path):
     """μ = 0.3: sliding all over, less deflection than without friction (regression to 1e-6, seen with 1 to 20 steps)."""
     history, *_ = run(monkeypatch, shared_path, "--friction", "0.3", "--increments", "2", "--load", "10")
     assert history.column("tip_uy")[-1] == pytest.approx(-0.5802, abs=4e-4)
+
+
+def test_two_membranes_lock_and_say_so(monkeypatch, shared_path, capsys):
+    """μ = 0.5 towards 5420 Pa with 40 cells: ends at the lock, 4670.9 Pa, within 0.5 %, and writes what it promises."""
+    arguments = ["--friction", "0.5", "--pressure", "5420", "--cells", "40", "40", "--output", str(shared_path)]
+    monkeypatch.setattr(sys, "argv", ["two_membranes.py", *arguments])
+    case = (0.5, 1.0, 5420.0)
+    history, curves, contact = two_membranes.simulate(two_membranes.options(), case, shared_path)
+    assert history.column("pressure")[-1] == pytest.approx(4670.9, rel=5e-3)
+    assert history.columns == two_membranes.COLUMNS
+    assert np.all(np.diff(history.column("mid_uy")) > 0)
+    if MPI.COMM_WORLD.rank == 0:
+        said = json.loads((shared_path / "summary.json").read_text())
+        assert "the membranes lock" in said["parameters"]["end"]
+        assert "the membranes lock" in capsys.readouterr().out
+        two_membranes.draw({case: (history, curves, contact)}, shared_path)
+        assert (shared_path / "figure2.png").stat().st_size > 10_000
 
 
 def test_a_mesh_file_of_ones_own(shared_path):
