@@ -27,6 +27,7 @@ FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane'
 LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, as a share of the largest pressure
 LONGEST = 1.0  # target facets that a closed point may move over the target in one iteration
 EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
+ROUND_OFF = 100.0  # multiples of the tolerance in which a residual that stands still counts as round-off
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
 HOPELESS_AFTER, HOPELESS = 16, 0.1  # as it is when five iterations in a row have relative residuals above this
 
@@ -201,7 +202,9 @@ class NewtonSolver:
         if not np.isfinite(ratio).all():
             self.result.message = "the residual is not a number"
             return _Reason.DIVERGED_FNORM_NAN
-        if max(ratio) <= 1.0 and all(pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs):
+        if (max(ratio) <= 1.0 or self._at_round_off()) and all(
+            pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs
+        ):
             # points may have been held on the way for nothing: converged is what converges again without
             return None if any([pair.release_held() for pair in self.problem.pairs]) else _Reason.CONVERGED_FNORM_ABS
         recent = [max(norms) * self.rtol for norms in self.result.norms[-5:]]
@@ -209,6 +212,11 @@ class NewtonSolver:
         if iteration >= snes.getTolerances()[3] or (iteration >= patience and min(recent) > HOPELESS):
             return _Reason.DIVERGED_MAX_IT  # a long walk of the contact's edge, one facet at a time, may go on
         return self._watch_pattern(iteration)
+
+    def _at_round_off(self) -> bool:
+        """Whether the residual stands still a little above its tolerance: on fine meshes round-off may lie there."""
+        last = [max(norms) for norms in self.result.norms[-3:]]
+        return len(last) == 3 and max(last) <= ROUND_OFF and last[2] > 0.5 * last[1] and last[1] > 0.5 * last[0]
 
     def _scales(self) -> list[float]:
         """The norm below which each block counts as converged."""
