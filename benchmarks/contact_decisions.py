@@ -26,7 +26,7 @@ RULES = {
     "linear predictor without friction, too": {"MAX_ORDER": 1},
     "predictor of order 4 with friction, too": {"MAX_ORDER_WITH_FRICTION": 4},
     "ε the bulk's stiffness, not a tenth of it": {"SOFTER": 1.0},
-    "points never held to a facet": {"CHANGES": 10**6},
+    "points never held to a facet": {"RETURNS": 10**6},
 }
 
 

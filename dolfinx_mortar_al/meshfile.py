@@ -22,7 +22,8 @@ def read_msh(path: Path | str, comm: MPI.Comm = MPI.COMM_WORLD, gdim: int = 2) -
 
     Raises:
         FileNotFoundError: on every rank.
-        ValueError: on every rank, if gmsh cannot read the file, or its cells are not of dimension `gdim`.
+        ValueError: on every rank, if gmsh cannot read the file, or its cells are not of dimension `gdim`
+            (bodies) or gdim − 1 (membranes).
     """
     trouble: Exception | None = None
     if comm.rank == 0:
@@ -52,7 +53,7 @@ def _unreadable(path: Path, gdim: int) -> ValueError | None:
         dim = max((d for d, _ in groups), default=-1)
         if dim < 0:
             return ValueError(f"{path}: no physical groups; name the bodies and surfaces as such in gmsh")
-        if dim != gdim:
+        if dim not in (gdim - 1, gdim):
             return ValueError(f"{path}: cells of dimension {dim} in space of dimension gdim = {gdim}")
     except Exception as error:  # gmsh raises plain Exceptions
         return ValueError(f"{path}: gmsh cannot read it: {error}")
