@@ -30,6 +30,7 @@ from mpi4py import MPI
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, monitors, obstacles, output
+from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.quasistatic import StepFailure
 from meshes.disc import RIM, Disc
 
@@ -60,6 +61,7 @@ def options() -> argparse.Namespace:
     add("--no-figure", action="store_true", help="skip figure4.png")
     add("--paraview", action="store_true", help="write .bp series")
     add("--animate", action="store_true", help="write spinning_disc.gif")
+    add("--checkpoint", action="store_true", help="save every step, and go on from the last one saved in the folder")
     return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
 
 
@@ -76,10 +78,13 @@ def simulate(args: argparse.Namespace, spin: str, directory: Path) -> tuple:
     problem = ContactProblem(motion.residual, u, contacts=[contact], monitors=watch)
     ρ, x = DENSITY * THICKNESS, ufl.SpatialCoordinate(mesh) + motion.old
     m, moments = motion.integral(fem.form(ρ * motion.dx)), [fem.form(ρ * x[i] * motion.dx) for i in range(2)]
-    run = output.Run(problem, directory, COLUMNS, vars(args) | {"spin": spin}, args.paraview)
-    frames, time = [], 0.0
+    keeper = Checkpoint(directory, problem, motion) if args.checkpoint else None
+    saved = keeper.load() if keeper else None
+    start, ledger, until = saved.at if saved else 0.0, saved.ledger if saved else None, args.time or CASES[args.case][4]
+    run = output.Run(problem, directory, COLUMNS, vars(args) | {"spin": spin}, args.paraview, resume=start)
+    frames, time = [], start
     try:
-        for step in dynamics.march(problem, motion, to=args.time or CASES[args.case][4]):
+        for step in dynamics.march(problem, motion, to=until, start=start, ledger=ledger) if until > start else ():
             time, ledger, (fx, fy) = step.time, step.ledger, step.forces[0]
             (px, py), (cx, cy) = ledger.momentum, (motion.integral(moment) / m for moment in moments)
             run.record(
@@ -88,6 +93,8 @@ def simulate(args: argparse.Namespace, spin: str, directory: Path) -> tuple:
                 **{name: getattr(ledger, name) for name in ENERGIES}, energy_defect=ledger.energy_defect,
                 contact_force_x=fx, contact_force_y=fy, min_det_F=watch[0].range()[0],
             )  # fmt: skip
+            if keeper:
+                keeper.save(time, ledger)
             frames += [output.deformed_cells(u)] if args.animate and step.nominal else []
     except StepFailure as failure:
         end = f"{failure}, {(time * V - args.gap) / args.size:.2g} h/V_n from touch"
