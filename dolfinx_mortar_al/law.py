@@ -141,7 +141,7 @@ class Coulomb:
     def linearise(
         self, state: LawState, Λ: Array, at: Projection, s: Array | None, δ: Variation
     ) -> tuple[Array, Array]:
-        """δt and δr, (n, gdim, z): the derivative in docs/formulation.md, misprints of eqs. (8)–(10) corrected."""
+        """δt and δr, (n, gdim, z): the derivative in docs/theory.md, misprints of eqs. (8)–(10) corrected."""
         assert state.λT_hat is not None and δ.s is not None and s is not None
         ν = at.ν
         εN, εT, μ = self.ε.normal, self.ε.tangential, self.μ
