@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from dolfinx import mesh
 from dolfinx.io import gmshio
 from mpi4py import MPI
 
-__all__ = ["distribute", "main"]
+__all__ = ["distribute", "main", "structured_box"]
 
 
 @contextmanager
@@ -35,6 +36,30 @@ def distribute(build: Callable[[Any], None], comm: MPI.Comm, gdim: int) -> tuple
             build(gmsh)
             return gmshio.model_to_mesh(gmsh.model, comm, 0, gdim)
     return gmshio.model_to_mesh(None, comm, 0, gdim)
+
+
+def structured_box(
+    gmsh: Any, origin: Sequence[float], size: Sequence[float], cells: Sequence[int], triangles: bool, tag: int
+) -> list[int]:
+    """Add a rectangle (box) of transfinite `cells` along each axis, its own entity that shares no node with others, its
+    cells tagged `tag`; returns its facets."""
+    model, d = gmsh.model, len(size)
+    add = model.occ.addBox if d == 3 else model.occ.addRectangle
+    entity = (d, add(*origin, *size))
+    model.occ.synchronize()
+    facets = model.getBoundary([entity], oriented=False)
+    curves = set(model.getBoundary(facets, combined=False, oriented=False)) if d == 3 else facets
+    for dim, curve in curves:
+        low, high = np.split(np.array(model.getBoundingBox(dim, curve)), 2)
+        model.mesh.setTransfiniteCurve(curve, cells[int(np.argmax(high - low))] + 1)
+    for dim, surface in facets if d == 3 else [entity]:
+        model.mesh.setTransfiniteSurface(surface)
+        if not triangles:
+            model.mesh.setRecombine(dim, surface)
+    if d == 3:
+        model.mesh.setTransfiniteVolume(entity[1])
+    model.addPhysicalGroup(d, [entity[1]], tag)
+    return [facet for _, facet in facets]
 
 
 def main(description: str, build: Callable[[Any], None], default: str) -> None:

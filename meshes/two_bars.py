@@ -8,10 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from mpi4py import MPI
 
-from meshes.gmsh_session import distribute, main
+from meshes.gmsh_session import distribute, main, structured_box
 
 __all__ = ["BAR1", "BAR2", "FACE1", "FACE2", "FREE1", "FREE2", "SIDES1", "SIDES2", "TwoBars"]
 
@@ -38,26 +37,9 @@ class TwoBars:
 
     def _bar(self, gmsh: Any, x: float, body: int) -> tuple[list[int], list[int], list[int]]:
         """One rectangle (box) from x on, structured, its cells tagged `body`; its left, right and lateral facets."""
-        model, d = gmsh.model, self.dim
-        size = [self.length, self.height, self.width][:d]
-        add = model.occ.addBox if d == 3 else model.occ.addRectangle
-        entity = (d, add(x, 0, 0, *size))
-        model.occ.synchronize()
-        facets = model.getBoundary([entity], oriented=False)
-        curves = set(model.getBoundary(facets, combined=False, oriented=False)) if d == 3 else facets
-        for dim, curve in curves:
-            low, high = np.split(np.array(model.getBoundingBox(dim, curve)), 2)
-            lengthwise = np.argmax(high - low) == 0
-            model.mesh.setTransfiniteCurve(curve, (self.along if lengthwise else self.across) + 1)
-        for dim, surface in facets if d == 3 else [entity]:
-            model.mesh.setTransfiniteSurface(surface)
-            if not self.triangles:
-                model.mesh.setRecombine(dim, surface)
-        if d == 3:
-            model.mesh.setTransfiniteVolume(entity[1])
-        model.addPhysicalGroup(d, [entity[1]], body)
-
-        centre = {f: (model.occ.getCenterOfMass(dim, f)[0] - x) / self.length for dim, f in facets}
+        size, cells = [self.length, self.height, self.width], [self.along, self.across, self.across]
+        facets = structured_box(gmsh, [x, 0, 0], size[: self.dim], cells, self.triangles, body)
+        centre = {f: (gmsh.model.occ.getCenterOfMass(self.dim - 1, f)[0] - x) / self.length for f in facets}
         left, right = ([f for f in centre if abs(centre[f] - end) < 1e-9] for end in (0, 1))
         return left, right, [f for f in centre if f not in left + right]
 

@@ -8,10 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from mpi4py import MPI
 
-from meshes.gmsh_session import distribute, main
+from meshes.gmsh_session import distribute, main, structured_box
 
 __all__ = ["CLAMP", "LOWER", "LOWER_TOP", "TIP", "UPPER", "UPPER_BOTTOM", "TwoBeams"]
 
@@ -39,27 +38,12 @@ class TwoBeams:
 
     def _beam(self, gmsh: Any, y: float, along: int, body: int) -> dict[str, int]:
         """One rectangle (box) above height y, structured, its cells tagged `body`; returns its facets by name."""
-        model, d = gmsh.model, self.dim
-        size = [self.length, self.height, self.width][:d]
-        add = model.occ.addBox if d == 3 else model.occ.addRectangle
-        entity = (d, add(0, y, 0, *size))
-        model.occ.synchronize()
-        facets = model.getBoundary([entity], oriented=False)
-        curves = set(model.getBoundary(facets, combined=False, oriented=False)) if d == 3 else facets
-        for dim, curve in curves:
-            low, high = np.split(np.array(model.getBoundingBox(dim, curve)), 2)
-            direction = int(np.argmax(high - low))
-            model.mesh.setTransfiniteCurve(curve, (along, self.across, self.through)[direction] + 1)
-        for dim, surface in facets if d == 3 else [entity]:
-            model.mesh.setTransfiniteSurface(surface)
-            if not self.triangles:
-                model.mesh.setRecombine(dim, surface)
-        if d == 3:
-            model.mesh.setTransfiniteVolume(entity[1])
-        model.addPhysicalGroup(d, [entity[1]], body)
+        size, cells = [self.length, self.height, self.width], [along, self.across, self.through]
+        facets = structured_box(gmsh, [0, y, 0], size[: self.dim], cells, self.triangles, body)
 
         def at(axis: int, value: float) -> int:
-            return next(f for dim, f in facets if abs(model.occ.getCenterOfMass(dim, f)[axis] - value) < 1e-9)
+            centre = {f: gmsh.model.occ.getCenterOfMass(self.dim - 1, f)[axis] for f in facets}
+            return next(f for f in facets if abs(centre[f] - value) < 1e-9)
 
         return {"clamp": at(0, 0.0), "end": at(0, self.length), "bottom": at(1, y), "top": at(1, y + self.height)}
 
