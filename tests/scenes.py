@@ -103,6 +103,21 @@ def tip(problem, X=(1.0, 0.025)):
     return np.array(min(problem.comm.allgather(mine))[1])
 
 
+def assert_tangent(problem, at, go, h=1e-8):
+    """K d against (R(h) − R(−h))/2h for each block, below 1e-6. `at(h)` gives the residual's blocks at h times the direction
+    d from the state the Jacobian is taken at (where the problem is now); `go()` makes d the problem's fields."""
+    problem.assemble_jacobian()
+    go()
+    d, Kd = problem.x.duplicate(), problem.x.duplicate()
+    problem.pack(d)
+    problem.matrix.mult(d, Kd)
+    plus, minus = at(h), at(-h)
+    for k, part in enumerate(Kd.getNestSubVecs()):
+        difference = (plus[k] - minus[k]) / (2 * h)
+        error = np.sqrt(problem.comm.allreduce(float(np.sum((difference - part.array) ** 2))))
+        assert error < 1e-6 * part.norm()
+
+
 def rough(scale, seed):
     """A smooth vector field of X with no symmetry, of size `scale`."""
     rng = np.random.default_rng(seed)

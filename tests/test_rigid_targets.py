@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scenes import NU, E
+from scenes import NU, E, assert_tangent
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, obstacles, quasistatic
 
@@ -134,15 +134,10 @@ def test_tangent_on_a_curved_obstacle():
     pair.closed = pair.at.facing & (pair.state.λN_hat > 0)
     pair.switch = lambda residual: None
     at(0.0)
-    problem.assemble_jacobian()
-    x[:], Λ[:] = direction, direction_Λ
-    problem.u.x.scatter_forward()
-    pair.multiplier.field.x.scatter_forward()
-    d, Kd = problem.x.duplicate(), problem.x.duplicate()
-    problem.pack(d)
-    problem.matrix.mult(d, Kd)
-    plus, minus = at(1e-8), at(-1e-8)
-    for k, part in enumerate(Kd.getNestSubVecs()):
-        difference = (plus[k] - minus[k]) / 2e-8
-        error = problem.comm.allreduce(float(np.sum((difference - part.array) ** 2)))
-        assert np.sqrt(error) < 1e-6 * part.norm()
+
+    def go():
+        x[:], Λ[:] = direction, direction_Λ
+        problem.u.x.scatter_forward()
+        pair.multiplier.field.x.scatter_forward()
+
+    assert_tangent(problem, at, go)
