@@ -368,7 +368,7 @@ class ContactPair:
         λ = np.where(self.at.facing, self.state.λN_hat, 0.0)
         wrong = np.where(self.closed, -λ, λ) - self.ε.normal * self._touch
         worst, largest = (self.comm.allreduce(float(v.max(initial=0.0)), MPI.MAX) for v in (wrong, self.state.p))
-        return worst / largest if worst > 0 else 0.0
+        return worst / max(largest, 1e-300) if worst > 0 else 0.0
 
     def _neighbourhood_maximum(self, λ: Array) -> Array:
         """(n,) the largest positive λ (n,) on a point's facet and the facets that share a node with it."""

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.added_mass import AddedMass
 from dolfinx_mortar_al.contact import ContactPair
 from dolfinx_mortar_al.materials import Hyperelastic, cell_measure, deformation_gradient
+from dolfinx_mortar_al.monitors import Finding, Reporter
 from dolfinx_mortar_al.newton import NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem, State
 from dolfinx_mortar_al.quasistatic import StepFailure
@@ -169,7 +170,8 @@ class Ledger:
 @dataclass(frozen=True)
 class Step:
     """A converged step: time (s), Δt, Newton iterations (rejected trials included), rejected trials, wall time (s), whether
-    the time is one of the asked-for ones, the ledger, and the mean contact force on each contactor (N)."""
+    the time is one of the asked-for ones, the ledger, the mean contact force on each contactor (N), and what the monitors
+    found below their bounds."""
 
     time: float
     step: float
@@ -179,6 +181,7 @@ class Step:
     nominal: bool
     ledger: Ledger
     forces: tuple[Array, ...]
+    findings: tuple[Finding, ...] = ()
 
 
 def march(
@@ -255,6 +258,7 @@ class _Stepper:
         for pair in problem.pairs:
             pair.impact = VelocityLevel(self.θ)
         self.ledger = self._with_state(Ledger(0.0, 0.0)) if ledger is None else ledger
+        self._reporter = Reporter(problem.comm.rank)
         self._clock, self.rejected, self.iterations = perf_counter(), 0, 0
 
     def _with_state(self, ledger: Ledger) -> Ledger:
@@ -290,9 +294,10 @@ class _Stepper:
         result = self.solver.solve()
         self.iterations += result.iterations
         self.easy, self._message = result.iterations <= EASY, result.message
-        findings = [str(f) for f in problem.findings() if f.fatal] if result.converged else []
-        self._message = "; ".join(findings) if findings else self._message
-        return result.converged and not findings
+        self._findings = problem.findings() if result.converged else []
+        fatal = [str(f) for f in self._findings if f.fatal]
+        self._message = "; ".join(fatal) if fatal else self._message
+        return result.converged and not fatal
 
     def _inertia_scale(self, Δt: float) -> float:
         """Norm of nodal momenta per Δt (N), roughly: the size of forces that a step of this length resolves."""
@@ -332,7 +337,9 @@ class _Stepper:
             energy_defect=last.energy_defect + change - work + friction + loss,
         )
         seconds = perf_counter() - self._clock
-        step = Step(time, Δt, self.iterations, self.rejected, seconds, nominal, self.ledger, forces)
+        found = tuple(self._findings)
+        step = Step(time, Δt, self.iterations, self.rejected, seconds, nominal, self.ledger, forces, found)
+        self._reporter.report(found, f"time {time:.6g} s")
         self.rejected, self.iterations, self._clock = 0, 0, perf_counter()
         return step
 

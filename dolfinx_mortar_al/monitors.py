@@ -6,6 +6,8 @@ place, and goes on or stops.
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +20,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.materials import Hyperelastic, deformation_gradient
 from dolfinx_mortar_al.membrane import NeoHookeanMembrane
 
-__all__ = ["Finding", "Monitor", "ellipticity", "inversion", "wrinkling"]
+__all__ = ["Finding", "ModelWarning", "Monitor", "Reporter", "ellipticity", "inversion", "wrinkling"]
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,24 @@ class Finding:
     def __str__(self) -> str:
         place = ", ".join(f"{x:.4g}" for x in self.X)
         return f"{self.name} = {self.value:.4g} at X = ({place}): {self.meaning}"
+
+
+class ModelWarning(UserWarning):
+    """A converged state is outside of what the model can show."""
+
+
+class Reporter:
+    """Warns of each monitor's first finding of a run, on rank 0; the steps have them all."""
+
+    def __init__(self, rank: int) -> None:
+        self._rank, self._reported = rank, set()  # type: int, set[str]
+
+    def report(self, findings: Iterable[Finding], when: str) -> None:
+        """Findings of the step at `when` (a load or time, in words)."""
+        for finding in findings:
+            if finding.name not in self._reported and self._rank == 0:
+                warnings.warn(f"at {when}: {finding}", ModelWarning, stacklevel=4)
+            self._reported.add(finding.name)
 
 
 class Monitor:

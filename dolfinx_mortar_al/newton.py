@@ -254,12 +254,14 @@ class NewtonSolver:
             xu, yu = x.getNestSubVecs()[0], y.getNestSubVecs()[0]
             p.bodies.set(xu.array_r - length * yu.array_r)
             motion = max([pair.relative_motion() for pair in p.pairs], default=0.0)
-            length *= min(1.0, LONGEST / max(motion, 1e-300))
-            for _ in range(12):
+            if motion > LONGEST:
+                length *= LONGEST / motion
                 p.bodies.set(xu.array_r - length * yu.array_r)
+            for _ in range(12):
                 if p.inverted_volume() <= 0:
                     break
                 length /= 2
+                p.bodies.set(xu.array_r - length * yu.array_r)
         if self._path is not None:
             self._path.load.value += length * change
         if length < 1.0:

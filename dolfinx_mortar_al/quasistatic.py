@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from time import perf_counter
@@ -13,20 +12,16 @@ from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.monitors import Finding
+from dolfinx_mortar_al.monitors import Finding, Reporter
 from dolfinx_mortar_al.newton import Load, NewtonSolver, Path
 from dolfinx_mortar_al.problem import ContactProblem, State
 
-__all__ = ["ModelWarning", "Step", "StepFailure", "follow", "march"]
+__all__ = ["Step", "StepFailure", "follow", "march"]
 
 MAX_ORDER = 4  # of the predictor's polynomial
 MAX_ORDER_WITH_FRICTION = 1  # slip makes a history of kinks: measured, docs/newton.md
 EVENT = 2.0**-6  # of an asked-for increment: how closely an event is met
 EASY = 8  # Newton iterations up to which an increment that was cut may grow again
-
-
-class ModelWarning(UserWarning):
-    """A converged state is outside of what the model can show; see :mod:`~dolfinx_mortar_al.monitors`."""
 
 
 class StepFailure(RuntimeError):
@@ -190,7 +185,7 @@ class _Stepper:
         self.past = _Past(problem)
         self.rejected = self.iterations = 0
         self.easy = False
-        self._reported: set[str] = set()
+        self._reporter = Reporter(problem.comm.rank)
         self._clock = perf_counter()
 
     def solve(self, path: Path | None = None) -> bool:
@@ -231,10 +226,7 @@ class _Stepper:
     def _report(self, step: Step) -> None:
         if self.bar is not None:
             self.bar.show(step)
-        for finding in step.findings:  # each once, on rank 0; the step has them all
-            if finding.name not in self._reported and self.problem.comm.rank == 0:
-                warnings.warn(f"at load {step.load:.6g}: {finding}", ModelWarning, stacklevel=4)
-            self._reported.add(finding.name)
+        self._reporter.report(step.findings, f"load {step.load:.6g}")
 
     def close(self) -> None:
         if self.bar is not None:

@@ -193,3 +193,33 @@ def test_demo(shared_path, capsys):
         assert said["parameters"]["mean_velocities"] == pytest.approx([0.0, SPEED], abs=0.03 * SPEED)
         two_bars.draw(history, EXACT, shared_path)
         assert (shared_path / "figure3.png").stat().st_size > 10_000
+
+
+def test_redistribution_keeps_mass_centre_and_inertia():
+    """pᵀ ΔM q = 0 for p, q = 1, X, Y: of a bar one and two cells wide and of a disc, against the same of |ΔM|; and no mass
+    is left on the contactor's nodes."""
+    from test_dynamics import disc
+
+    from dolfinx_mortar_al.added_mass import AddedMass
+
+    def bar(across):
+        mesh, _, tags = TwoBars(along=6, across=across).create()
+        u = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (2,))))
+        motion = dynamics.Motion(u, materials.saint_venant_kirchhoff(100.0, 0.0), density=0.01, step=0.01)
+        contact = Contact(Surface(mesh, tags, FACE1), Surface(mesh, tags, FACE2))
+        return ContactProblem(motion.residual, u, contacts=[contact]), motion
+
+    for problem, motion in (bar(1), bar(2), disc(velocity=lambda x: 0 * x[:2])):
+        added = AddedMass(problem.bodies, [motion], problem.pairs)
+        V = motion.u.function_space
+        owned = V.dofmap.index_map.size_local
+        X = V.tabulate_dof_coordinates()[:owned, :2]
+        v, w = problem.bodies.layout.vector(), problem.bodies.layout.vector()
+        basis = [np.ones(owned), X[:, 0], X[:, 1]]
+        for q in basis:
+            v.array[:] = np.repeat(q, 2) * np.tile([1.0, 0.0], owned)
+            added.matrix.mult(v, w)
+            force = w.array.reshape(-1, 2)[:, 0]
+            for p in basis:
+                size = problem.comm.allreduce(float(np.abs(p * force).sum()))
+                assert abs(problem.comm.allreduce(float(p @ force))) < 1e-10 * size
