@@ -11,7 +11,6 @@ its mean, and on the disc of section 4.4 that stops Newton.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import ufl
@@ -22,9 +21,7 @@ from petsc4py import PETSc
 
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.contact import ContactPair
-
-if TYPE_CHECKING:
-    from dolfinx_mortar_al.dynamics import Motion
+from dolfinx_mortar_al.motion import Motion
 
 __all__ = ["AddedMass"]
 

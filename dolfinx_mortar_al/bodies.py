@@ -196,6 +196,14 @@ class Bodies:
         """(owned dofs,) a copy of the displacements."""
         return np.concatenate([b.u.x.array[: p.stop - p.start] for b, p in zip(self.bodies, self._slices, strict=True)])
 
+    def snapshot(self) -> dict[str, Array]:
+        """The displacements (owned dofs,)."""
+        return {"u": self.get()}
+
+    def restore(self, saved: dict[str, Array]) -> None:
+        """Back to a snapshot."""
+        self.set(saved["u"])
+
     def total(self, f: fem.Function) -> float:
         """Sum of a Function's values over all dofs (collective)."""
         V = f.function_space

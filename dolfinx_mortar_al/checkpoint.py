@@ -19,10 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.dynamics import Ledger, Motion
-from dolfinx_mortar_al.obstacles import Pose
-from dolfinx_mortar_al.problem import ContactProblem
-from dolfinx_mortar_al.projection import TargetPoint
-from dolfinx_mortar_al.targets import RigidTarget
+from dolfinx_mortar_al.problem import ContactProblem, Snapshot
 
 __all__ = ["Checkpoint", "Saved"]
 
@@ -48,7 +45,8 @@ class Checkpoint:
 
     def __init__(self, directory: Path, problem: ContactProblem, motions: Motion | Sequence[Motion] = ()) -> None:
         self._directory, self._problem = directory, problem
-        self._motions = [motions] if isinstance(motions, Motion) else list(motions)
+        all_motions = [motions] if isinstance(motions, Motion) else list(motions)
+        problem.members |= {f"motion{k}": motion for k, motion in enumerate(all_motions)}
         self._pointer, self._slot = directory / "checkpoint.json", 0
         if problem.comm.rank == 0:
             directory.mkdir(parents=True, exist_ok=True)
@@ -110,31 +108,14 @@ class Checkpoint:
         return Saved(said["at"], Ledger(**kept | {name: tuple(kept[name]) for name in lists}))
 
     def _arrays(self) -> dict[str, Array]:
-        problem = self._problem
-        arrays: dict[str, Array] = {"limp": np.array(problem.limp)}
-        for k, body in enumerate(problem.bodies.bodies):
-            arrays[f"u{k}"] = body.u.x.array
-        for k, motion in enumerate(self._motions):
-            arrays |= {f"old{k}": motion.old.x.array, f"velocity{k}": motion.velocity.x.array}
-        for k, pair in enumerate(problem.pairs):
-            arrays |= {f"multiplier{k}": pair.multiplier.field.x.array, f"pressure{k}": pair.state.λN_hat}
-            arrays |= {f"facet{k}": pair.history.facet, f"eta{k}": pair.history.η, f"fresh{k}": np.array(pair.fresh)}
-            if isinstance(pair.target, RigidTarget):
-                pose = pair.target.obstacle.pose
-                arrays |= {f"translation{k}": pose.translation, f"rotation{k}": pose.rotation}
-        return arrays
+        """The problem's snapshot, flat."""
+        snapshot = self._problem.snapshot()
+        return {f"{member}.{name}": a for member, arrays in snapshot.items() for name, a in arrays.items()}
 
     def _restore(self, arrays: Any) -> None:
-        problem = self._problem
-        problem.limp = bool(arrays["limp"])
-        for k, body in enumerate(problem.bodies.bodies):
-            body.u.x.array[:] = arrays[f"u{k}"]
-        for k, motion in enumerate(self._motions):
-            motion.old.x.array[:], motion.velocity.x.array[:] = arrays[f"old{k}"], arrays[f"velocity{k}"]
-        for k, pair in enumerate(problem.pairs):
-            pair.multiplier.field.x.array[:] = arrays[f"multiplier{k}"]
-            pair.fresh = bool(arrays[f"fresh{k}"])
-            if isinstance(pair.target, RigidTarget):
-                pair.target.obstacle.pose = Pose(arrays[f"translation{k}"], arrays[f"rotation{k}"])
-            history = TargetPoint(arrays[f"facet{k}"], arrays[f"eta{k}"])
-            pair.resume(history, arrays[f"pressure{k}"])
+        snapshot: Snapshot = {member: {} for member in self._problem.members}
+        for key in arrays.files:
+            member, name = key.split(".")
+            snapshot[member][name] = arrays[key]
+        self._problem.limp = False  # a step has converged
+        self._problem.restore(snapshot)

@@ -11,22 +11,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Any
 
 import numpy as np
-import ufl
-from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.added_mass import AddedMass
 from dolfinx_mortar_al.contact import ContactPair
-from dolfinx_mortar_al.materials import Hyperelastic, cell_measure, deformation_gradient
+from dolfinx_mortar_al.kinematics import VelocityLevel
 from dolfinx_mortar_al.monitors import Finding, Reporter
+from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.newton import NewtonSolver
-from dolfinx_mortar_al.problem import ContactProblem, State
+from dolfinx_mortar_al.problem import ContactProblem, Snapshot
 from dolfinx_mortar_al.quasistatic import StepFailure
-from dolfinx_mortar_al.velocity import VelocityLevel
 
 __all__ = ["Ledger", "Motion", "Step", "march"]
 
@@ -34,120 +31,6 @@ Array = NDArray[np.float64]
 
 EASY = 8  # Newton iterations up to which a step that was cut may grow again
 RTOL = 1e-11  # of Newton: what is left over shows up in the ledger
-
-
-class Motion:
-    """A body in motion: its mass, velocity and the mid-step residual to hand to a ContactProblem.
-
-    Args:
-        u: displacement (m), at the start state.
-        material: its stored energy.
-        density: ρ per reference volume (kg/m³).
-        step: Δt (s), the longest that will be used.
-        theta: θ of the scheme, 1/2 ≤ θ ≤ 1; anything but 1/2 dissipates.
-        force: "consistent", whose energy balance is exact (with θ = 1/2), or "trapezoidal", θ-weighted end forces.
-        thickness: out of the plane (m).
-        external: external virtual work of dead loads, a UFL form linear in the test function.
-
-    Attributes:
-        residual: UFL form for :class:`~dolfinx_mortar_al.problem.ContactProblem`.
-        velocity: 𝐯_n (m/s), a Function to interpolate the initial velocity into.
-
-    Raises:
-        ValueError: on a density, step, θ or force out of range.
-    """
-
-    def __init__(
-        self,
-        u: fem.Function,
-        material: Hyperelastic,
-        *,
-        density: float,
-        step: float,
-        theta: float = 0.5,
-        force: str = "consistent",
-        thickness: float = 1.0,
-        external: Any = None,
-    ) -> None:
-        if not density > 0 or not step > 0 or not 0.5 <= theta <= 1:
-            raise ValueError(f"density = {density}, step = {step}, theta = {theta}: need ρ > 0, Δt > 0, ½ ≤ θ ≤ 1")
-        if force not in ("consistent", "trapezoidal"):
-            raise ValueError(f'force = "{force}": "consistent" or "trapezoidal"')
-        V = u.function_space
-        self.u, self.material, self.density, self.thickness, self.θ = u, material, density, thickness, theta
-        self.external = external
-        self.old, self.velocity = u.copy(), fem.Function(V, name="velocity")
-        self.Δt = fem.Constant(V.mesh, float(step))
-        self.dx = cell_measure(u)
-        w = ufl.TestFunction(V)
-        F0, F1 = deformation_gradient(self.old), deformation_gradient(u)
-        if force == "consistent":
-            P = material.mean_first_piola(F0, F1)
-        else:
-            P = theta * material.first_piola(F1) + (1 - theta) * material.first_piola(F0)
-        rate = (self.new_velocity() - self.velocity) / self.Δt
-        self.residual = thickness * (density * ufl.inner(rate, w) + ufl.inner(P, ufl.grad(w))) * self.dx
-        if external is not None:
-            self.residual -= external
-        work = None if external is None else ufl.replace(external, {w: u - self.old})
-        self._work = None if work is None else fem.form(work)
-        self._energies = self.energy_forms()
-        self._momenta = self._momentum_forms()
-
-    def new_velocity(self) -> Any:
-        """𝐯_{n+1} (m/s) as UFL of 𝐮_{n+1}, 𝐮_n and 𝐯_n."""
-        return (self.u - self.old) / (self.θ * self.Δt) - (1 - self.θ) / self.θ * self.velocity
-
-    def energy_forms(self, dx: ufl.Measure | None = None) -> tuple[Any, Any]:
-        """Kinetic and strain energy (J) at the last accepted step as compiled forms, over all cells or those of `dx`."""
-        dx = cell_measure(self.u, dx)
-        v, w = self.velocity, self.material.energy(deformation_gradient(self.old))
-        return (
-            fem.form(self.thickness * self.density / 2 * ufl.inner(v, v) * dx),
-            fem.form(self.thickness * w * dx),
-        )
-
-    def _momentum_forms(self) -> list[Any]:
-        d = len(self.u)
-        p = self.thickness * self.density * self.velocity
-        x = ufl.SpatialCoordinate(self.u.function_space.mesh) + self.old
-        spin = [x[0] * p[1] - x[1] * p[0]] if d == 2 else list(ufl.cross(x, p))
-        return [fem.form(c * self.dx) for c in (*p, *spin)]
-
-    def integral(self, form: Any) -> float:
-        """Value of a compiled scalar form (collective)."""
-        return float(self.u.function_space.mesh.comm.allreduce(fem.assemble_scalar(form)))
-
-    def energies(self) -> tuple[float, float]:
-        """Kinetic and strain energy (J), collective."""
-        kinetic, strain = self._energies
-        return self.integral(kinetic), self.integral(strain)
-
-    def momenta(self) -> Array:
-        """Momentum (N s, gdim) and angular momentum about the origin (N m s, 1 or 3), collective."""
-        return np.array([self.integral(form) for form in self._momenta])
-
-    def external_work(self) -> float:
-        """Work of the dead loads in the present step (J), collective."""
-        return 0.0 if self._work is None else self.integral(self._work)
-
-    def predict(self) -> None:
-        """𝐮 ← 𝐮_m = 𝐮_n + (1−θ) Δt 𝐯_n, where the step's contact geometry is taken."""
-        self.u.x.array[:] = self.old.x.array + (1 - self.θ) * self.Δt.value * self.velocity.x.array
-
-    def guess(self) -> None:
-        """𝐮 ← 𝐮_n + Δt 𝐯_n, from which Newton starts."""
-        self.u.x.array[:] = self.old.x.array + self.Δt.value * self.velocity.x.array
-
-    def accept(self) -> None:
-        """The step has converged: 𝐯_n ← 𝐯_{n+1}, 𝐮_n ← 𝐮_{n+1}."""
-        new = (self.u.x.array - self.old.x.array) / (self.θ * self.Δt.value)
-        self.velocity.x.array[:] = new - (1 - self.θ) / self.θ * self.velocity.x.array
-        self.old.x.array[:] = self.u.x.array
-
-    def restore(self) -> None:
-        """Undo a step: 𝐮 ← 𝐮_n."""
-        self.u.x.array[:] = self.old.x.array
 
 
 @dataclass(frozen=True)
@@ -218,7 +101,10 @@ def march(
     if not to > start:
         raise ValueError(f"to = {to}: must be later than start = {start}")
     all_motions = [motions] if isinstance(motions, Motion) else list(motions)
-    problem.added_mass = AddedMass(problem.bodies, all_motions, problem.pairs) if redistribute else None
+    problem.terms = [term for term in problem.terms if not isinstance(term, AddedMass)]
+    if redistribute:
+        problem.terms.append(AddedMass(problem.bodies, all_motions, problem.pairs))
+    problem.members |= {f"motion{k}": motion for k, motion in enumerate(all_motions)}
     stepper = _Stepper(problem, all_motions, move, solver, ledger)
     longest = float(stepper.motions[0].Δt.value)
     steps = int(np.ceil((to - start) / longest - 1e-9))
@@ -255,8 +141,7 @@ class _Stepper:
         if len(θ) > 1:
             raise ValueError(f"theta = {sorted(θ)}: all motions of a problem need the same θ")
         self.θ = θ.pop()
-        for pair in problem.pairs:
-            pair.impact = VelocityLevel(self.θ)
+        self.levels = [pair.use_velocities(self.θ) for pair in problem.pairs]
         self.ledger = self._with_state(Ledger(0.0, 0.0)) if ledger is None else ledger
         self._reporter = Reporter(problem.comm.rank)
         self._clock, self.rejected, self.iterations = perf_counter(), 0, 0
@@ -264,9 +149,10 @@ class _Stepper:
     def _with_state(self, ledger: Ledger) -> Ledger:
         energies = np.sum([motion.energies() for motion in self.motions], axis=0)
         momenta = np.sum([motion.momenta() for motion in self.motions], axis=0)
-        if self.problem.added_mass is not None:
-            energies[0] += self.problem.added_mass.kinetic_energy()
-            momenta += self.problem.added_mass.momenta()
+        for term in self.problem.terms:
+            if isinstance(term, AddedMass):
+                energies[0] += term.kinetic_energy()
+                momenta += term.momenta()
         d = self.problem.gdim
         momentum, spin = tuple(momenta[:d].tolist()), tuple(momenta[d:].tolist())
         return replace(
@@ -276,20 +162,20 @@ class _Stepper:
     def try_step(self, time: float, Δt: float) -> bool:
         """Solve for the state at time + Δt; whether Newton converged."""
         problem = self.problem
-        self._before: State = problem.state()
+        self._before: Snapshot = problem.snapshot()
         for motion in self.motions:
             motion.Δt.value = Δt
             motion.predict()
         self.move(time + (1 - self.θ) * Δt)
-        for pair in problem.pairs:
-            pair.predict()
-        self._books = [_Book(pair, self.motions, lambda: self.move(time)) for pair in problem.pairs]
+        for level in self.levels:
+            level.predict()
+        self._books = [_Book(level, self.motions, lambda: self.move(time)) for level in self.levels]
         self.move(time + Δt)
         for motion in self.motions:
             motion.guess()
         if problem.inverted_volume() > 0:  # a long step of a body under strong compression
             for motion in self.motions:
-                motion.restore()
+                motion.undo()
         problem.force_reference = self._inertia_scale(Δt)
         result = self.solver.solve()
         self.iterations += result.iterations
@@ -308,7 +194,7 @@ class _Stepper:
     def undo(self, time: float, hopeless: bool) -> None:
         """Back to the last accepted state; `hopeless` ends the run with the reason."""
         for motion in self.motions:
-            motion.restore()
+            motion.undo()
         self.problem.restore(self._before)
         self.move(time)
         self.rejected += 1
@@ -347,24 +233,23 @@ class _Stepper:
 class _Book:
     """A pair's work in a step: where its points and their target points were at the beginning."""
 
-    def __init__(self, pair: ContactPair, motions: list[Motion], back: Callable[[], None]) -> None:
-        assert pair.impact is not None
+    def __init__(self, level: VelocityLevel, motions: list[Motion], back: Callable[[], None]) -> None:
+        self._level = level
         now = [motion.u.x.array.copy() for motion in motions]
         for motion in motions:
-            motion.restore()
+            motion.undo()
         back()
-        self._x, self._y = pair.moving_points()
+        self._x, self._y = level.moving_points()
         for motion, array in zip(motions, now, strict=True):
             motion.u.x.array[:] = array
 
     def close(self, pair: ContactPair) -> tuple[float, float, float]:
         """(friction dissipation, impact loss, work done by an obstacle that moves) of the step (J), collective."""
-        x, y = pair.moving_points()
-        slide, ν, p = (x - self._x) - (y - self._y), pair.at.ν, pair.state.p
+        x, y = self._level.moving_points()
+        slide, ν, p, j = (x - self._x) - (y - self._y), pair.at.ν, pair.state.p, pair.j
         normal = np.einsum("ni,ni->n", ν, slide)
-        j = pair.j.reshape(-1)
         total = np.einsum("n,ni,ni->", j, pair.state.t, slide)
         lost = -float(j @ (p * normal))
-        by_target = float(np.einsum("n,ni,ni->", j, pair.state.t, y - self._y)) if pair.is_rigid else 0.0
+        by_target = float(np.einsum("n,ni,ni->", j, pair.state.t, y - self._y)) if pair.target.is_rigid else 0.0
         sums = pair.comm.allreduce(np.array([-total - lost, lost, by_target]), MPI.SUM)
         return float(sums[0]), float(sums[1]), float(sums[2])

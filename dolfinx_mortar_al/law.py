@@ -7,7 +7,7 @@ scalar multiplier λ_N only. Derivatives are linear maps of a few nodal variatio
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,10 +47,11 @@ class LawState:
     Attributes:
         status: (n,) OPEN, SLIP or STICK.
         λN_hat: (n,) λ̂_N in Pa.
-        p: (n,) pressure ⟨λ̂_N⟩ in Pa.
+        p: (n,) pressure ⟨λ̂_N⟩ in Pa: λ̂_N where the point counts as closed.
         t: (n, gdim) nominal traction on body 1 in Pa.
         r: (n, gdim) residual of the multiplier in metres, (n, 1) without friction.
         λT_hat: (n, gdim) λ̂_T in Pa, where there is friction.
+        bound: (n,) friction bound μp in Pa, and slope: (n,) its derivative with respect to p: μ, or 0 where it is frozen.
     """
 
     status: NDArray[np.int8]
@@ -59,11 +60,13 @@ class LawState:
     t: Array
     r: Array
     λT_hat: Array | None = None
+    bound: Array | None = None
+    slope: Array | None = None
 
     def take(self, index: NDArray[np.int64]) -> LawState:
         """The state at some of the points."""
-        hat = None if self.λT_hat is None else self.λT_hat[index]
-        return LawState(self.status[index], self.λN_hat[index], self.p[index], self.t[index], self.r[index], hat)
+        values = [getattr(self, f.name) for f in fields(self)]
+        return LawState(*(None if v is None else v[index] for v in values))
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -93,11 +96,14 @@ class Frictionless:
 
     ε: Augmentation
 
-    def evaluate(self, λ: Array, at: Projection, s: Array | None, threshold: Array) -> LawState:
-        """The law at multipliers λ (n, 1) and closest points `at`; closed where λ̂_N ≥ `threshold` (n,), 0 in eq. (1)."""
+    def evaluate(
+        self, λ: Array, at: Projection, s: Array | None, closed: NDArray[np.bool_], frozen: Array | None
+    ) -> LawState:
+        """The law at multipliers λ (n, 1) and projections `at` of points that are `closed` (n,) or open: in eq. (1) those
+        with λ̂_N ≥ 0, in a Newton iteration those of the active set."""
         ν = at.ν
         λ_hat = augmented_normal(λ[:, 0], at.g, self.ε)
-        closed = at.facing & (λ_hat >= threshold)
+        closed = at.facing & closed
         p = np.where(closed, λ_hat, 0.0)
         status = np.where(closed, SLIP, OPEN).astype(np.int8)
         return LawState(status, λ_hat, p, p[:, None] * ν, (λ - p[:, None]) / self.ε.normal)
@@ -119,32 +125,41 @@ class Coulomb:
     μ: float
     noise: float = 0.0
 
-    def evaluate(self, Λ: Array, at: Projection, s: Array | None, threshold: Array) -> LawState:
-        """The law at multipliers Λ (n, gdim), closest points `at` and slips s (n, gdim); `threshold` as above."""
+    def evaluate(
+        self, Λ: Array, at: Projection, s: Array | None, closed: NDArray[np.bool_], frozen: Array | None
+    ) -> LawState:
+        """The law at multipliers Λ (n, gdim), projections `at` and slips s (n, gdim); `closed` as above.
+
+        `frozen` (n,) is a friction bound (Pa) to take in place of μp, not a number where it is free.
+        """
         assert s is not None
         ν = at.ν
         λN = _dot(ν, Λ)
         λN_hat = augmented_normal(λN, at.g, self.ε)
-        closed = at.facing & (λN_hat >= threshold)
+        closed = at.facing & closed
         p = np.where(closed, λN_hat, 0.0)
         λT_hat = augmented_tangential(Λ, s, ν, self.ε)
         size = np.linalg.norm(λT_hat, axis=1)
-        bound = self.μ * np.maximum(p, 0.0)
+        bound, slope = self.μ * np.maximum(p, 0.0), self.μ * (p > 0)
+        if frozen is not None:
+            free = np.isnan(frozen)
+            bound, slope = np.where(free, bound, frozen), slope * free
         stick = size <= bound + self.noise  # also where λ̂_T = 0: there the bracket of eq. (1) is 0
         f = λT_hat * np.where(stick, 1.0, bound / np.where(stick, 1.0, size))[:, None]
         f[~closed] = 0.0
         status = np.where(closed, np.where(stick, STICK, SLIP), OPEN).astype(np.int8)
         λT = ν * λN[:, None] - Λ
         r = ν * ((λN - p) / self.ε.normal)[:, None] - (λT - f) / self.ε.tangential
-        return LawState(status, λN_hat, p, p[:, None] * ν - f, r, λT_hat)
+        return LawState(status, λN_hat, p, p[:, None] * ν - f, r, λT_hat, bound, slope)
 
     def linearise(
         self, state: LawState, Λ: Array, at: Projection, s: Array | None, δ: Variation
     ) -> tuple[Array, Array]:
         """δt and δr, (n, gdim, z): the derivative in docs/theory.md, misprints of eqs. (8)–(10) corrected."""
-        assert state.λT_hat is not None and δ.s is not None and s is not None
+        assert state.λT_hat is not None and state.bound is not None and state.slope is not None
+        assert δ.s is not None and s is not None
         ν = at.ν
-        εN, εT, μ = self.ε.normal, self.ε.tangential, self.μ
+        εN, εT = self.ε.normal, self.ε.tangential
         closed = (state.status != OPEN)[:, None]
         λN = _dot(ν, Λ)
         δλN = _dot(Λ, δ.ν) + _dot(ν, δ.Λ)
@@ -155,8 +170,8 @@ class Coulomb:
         size = np.linalg.norm(state.λT_hat, axis=1)
         slip = state.status == SLIP
         h = np.where(slip[:, None], state.λT_hat / np.where(slip, size, 1.0)[:, None], 0.0)
-        ratio = np.where(slip, μ * np.maximum(state.p, 0.0) / np.where(slip, size, 1.0), 1.0)
-        δf = ratio[:, None, None] * (δλT_hat - _times(_dot(h, δλT_hat), h)) + _times(μ * δp, h)
+        ratio = np.where(slip, state.bound / np.where(slip, size, 1.0), 1.0)
+        δf = ratio[:, None, None] * (δλT_hat - _times(_dot(h, δλT_hat), h)) + _times(state.slope[:, None] * δp, h)
         δf[state.status == OPEN] = 0.0
 
         δt = _times(δp, ν) + state.p[:, None, None] * δ.ν - δf

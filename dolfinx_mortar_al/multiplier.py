@@ -1,5 +1,8 @@
 """The multiplier field Λ on a contactor's facets: its space, and the nodes where it is redundant.
 
+Continuous Lagrange elements of order 1, or of the displacement's order as in the paper: equal orders oscillate where the
+contactor is the stiffer side (``docs/theory.md``).
+
 Where the displacement is prescribed on both sides (the common clamp of section 4.1, a symmetry plane) the gap is given and
 the multiplier's node has nothing to enforce: kept, it would make the system singular. There the field is extrapolated
 from the facet's other nodes (one order lower across the facet), component by component.
@@ -42,27 +45,35 @@ def extrapolation(shape: ShapeFunctions, kept: Bool) -> Array:
 
 
 class MultiplierSpace:
-    """Lagrange multipliers of the displacement's order on the contactor's facets.
+    """Lagrange multipliers on the contactor's facets.
+
+    Args:
+        facets: of the contactor.
+        order: 1, or that of the displacement.
+        components: 1 or gdim.
+        redundant: (nf, displacement's nodes, components) whether the displacement leaves a node nothing to enforce.
 
     Attributes:
         field: the multiplier, a Function on the facets' own mesh: λ_N (Pa), or Λ in global axes (Pa) with friction.
-        dofs: (nf, nodes) local block dofs, in the facets' node order; blocks: the same, global.
+        shape: its shape functions on a facet.
+        dofs: (nf, nodes) local block dofs, in the order of `shape`'s nodes; blocks: the same, global.
         components: 1 (λ_N) or gdim (Λ).
         redundant: (nf, nodes, components) nodes whose value is extrapolated.
         T: (nf, components, nodes, nodes) extrapolation of each facet.
     """
 
-    def __init__(self, facets: Facets, components: int, redundant: Bool) -> None:
+    def __init__(self, facets: Facets, order: int, components: int, redundant: Bool) -> None:
         domain = facets.space.mesh
-        self.components = components
+        self.components, self.shape = components, ShapeFunctions(facets.shape.cell, order)
         self.submesh, entities = mesh.create_submesh(domain, facets.shape.dim, facets.entities)[:2]
-        shape = (components,) if components > 1 else ()
-        V = fem.functionspace(self.submesh, ("Lagrange", facets.shape.order, shape))
+        value = (components,) if components > 1 else ()
+        V = fem.functionspace(self.submesh, ("Lagrange", order, value))
         self.field = fem.Function(V, name="multiplier")
-        self.dofs = _match(V, facets, np.asarray(entities))
+        own = _own_nodes(self.shape, facets.shape)
+        self.dofs = _match(V, facets, own, np.asarray(entities))
         self.blocks = V.dofmap.index_map.local_to_global(self.dofs.ravel()).reshape(self.dofs.shape)
-        self._mark(redundant)
-        self.T = self._extrapolations(facets.shape)
+        self._mark(redundant[:, own])
+        self.T = self._extrapolations(self.shape)
 
     def _mark(self, redundant: Bool) -> None:
         """A node is redundant on every rank and facet that has it, or on none."""
@@ -109,12 +120,20 @@ class MultiplierSpace:
         return filled
 
 
-def _match(V: fem.FunctionSpace, facets: Facets, entities: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(nf, nodes) dofs of V on each facet, brought to the facets' node order by position."""
+def _own_nodes(shape: ShapeFunctions, facet: ShapeFunctions) -> NDArray[np.int64]:
+    """Which of a facet's nodes are nodes of `shape`."""
+    distance = np.linalg.norm(shape.nodes[:, None] - facet.nodes, axis=2)
+    return np.argmin(distance, axis=1)
+
+
+def _match(
+    V: fem.FunctionSpace, facets: Facets, own: NDArray[np.int64], entities: NDArray[np.int32]
+) -> NDArray[np.int32]:
+    """(nf, nodes) dofs of V on each facet, brought to the order of the facets' nodes `own` by position."""
     position = np.full(int(max(entities.max(initial=-1), facets.entities.max(initial=-1))) + 1, -1)
     position[entities] = np.arange(len(entities))
     dofs = V.dofmap.list[position[facets.entities]]  # (nf, nodes) in the submesh's own order
     x = V.tabulate_dof_coordinates()[:, : facets.X.shape[-1]][dofs]
-    distance = np.linalg.norm(facets.X[:, :, None] - x[:, None], axis=3)
+    distance = np.linalg.norm(facets.X[:, own, None] - x[:, None], axis=3)
     order = np.argmin(distance, axis=2) if len(dofs) else np.empty(dofs.shape, dtype=np.int64)
     return np.take_along_axis(dofs, order, axis=1)

@@ -29,6 +29,8 @@ LONGEST = 1.0  # target facets that a closed point may move over the target in o
 EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
 ROUND_OFF = 100.0  # multiples of the tolerance in which a residual that stands still counts as round-off
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
+MAX_FREEZES = 20  # times that friction bounds are brought up to date in a solve
+BOUND_TOLERANCE = 1e-6  # on a frozen friction bound, as a share of the largest μp
 HOPELESS_AFTER, HOPELESS = 16, 0.1  # as it is when five iterations in a row have relative residuals above this
 
 
@@ -116,6 +118,7 @@ class NewtonSolver:
         snes.setJacobian(self._jacobian, problem.matrix)
         snes.setConvergenceTest(self._test)
         snes.setTolerances(max_it=max_iterations)
+        snes.setUpdate(self._update)
         snes.setLineSearchPreCheck(self._guard)
         ksp = snes.getKSP()
         ksp.setType("preonly")
@@ -141,7 +144,7 @@ class NewtonSolver:
         p, self._path = self.problem, path
         self.result = NewtonResult()
         self._patterns: list[int] = []
-        self._cycles, self._damping = 0, 1.0
+        self._cycles, self._damping, self._freezes = 0, 1.0, 0
         for pair in p.pairs:
             pair.begin()
         self._linear_start = perf_counter()
@@ -205,8 +208,7 @@ class NewtonSolver:
         if (max(ratio) <= 1.0 or self._at_round_off()) and all(
             pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs
         ):
-            # points may have been held on the way for nothing: converged is what converges again without
-            return None if any([pair.release_held() for pair in self.problem.pairs]) else _Reason.CONVERGED_FNORM_ABS
+            return None if self._bounds_are_stale() else _Reason.CONVERGED_FNORM_ABS
         recent = [max(norms) * self.rtol for norms in self.result.norms[-5:]]
         patience = 2 * HOPELESS_AFTER if self.problem.limp else HOPELESS_AFTER
         if iteration >= snes.getTolerances()[3] or (iteration >= patience and min(recent) > HOPELESS):
@@ -228,21 +230,50 @@ class NewtonSolver:
             scales.append(pair.unit * max(self.rtol * max(force, p.force_reference) / pair.stiffness, floor))
         return scales
 
+    def _update(self, snes: PETSc.SNES, iteration: int) -> None:
+        """At the start of an iteration the active sets change, and the residual with them."""
+        self.problem.decide(snes.getFunction()[0])
+
     def _watch_pattern(self, iteration: int) -> int | None:
-        """When the open/slip/stick pattern comes back to an earlier one, damp the next step and hold the contact state
-        longer; give up when that does not help."""
+        """When the open/slip/stick pattern comes back to an earlier one: freeze the friction bounds, under which stick and
+        slip do not cycle; where that has been done or there is no friction, damp the next step and let points open and
+        close less readily. Give up when neither helps."""
         pattern = self.problem.contact_pattern()
         self._damping = 1.0
         if pattern in self._patterns[:-1] and pattern != self._patterns[-1]:
             self._cycles += 1
-            self._damping = 0.5
-            for pair in self.problem.pairs:
-                pair.patience *= 10.0
             if self._cycles > MAX_CYCLES:
                 self.result.message = f"the contact state cycles, {self.problem.flipping_points()}"
                 return _Reason.DIVERGED_LOCAL_MIN
+            if not self._freeze():
+                self._damping = 0.5
+                for pair in self.problem.pairs:
+                    pair.active.patience *= 10.0
         self._patterns.append(pattern)
         return None
+
+    def _freeze(self) -> bool:
+        """Freeze the friction bounds; whether there were any that were free."""
+        free = [pair for pair in self.problem.pairs if pair.contact.friction and pair.active.frozen is None]
+        for pair in free:
+            pair.active.freeze(pair.state)
+        return bool(free)
+
+    def _bounds_are_stale(self) -> bool:
+        """A state has converged with friction bounds that were frozen and are not μp: free them once, and if the cycle comes
+        back go on with bounds brought up to date (a fixed point of Tresca's problems)."""
+        pairs = [pair for pair in self.problem.pairs if pair.active.frozen is not None]
+        if all(pair.active.staleness(pair.state, pair.contact.friction) <= BOUND_TOLERANCE for pair in pairs):
+            return False
+        self._freezes += 1
+        for pair in pairs:
+            if self._freezes == 1:
+                pair.active.thaw()
+            else:
+                pair.active.freeze(pair.state)
+        self._patterns, self._cycles = [], 0
+        self.problem.reconsider(self.snes.getFunction()[0])
+        return self._freezes <= MAX_FREEZES
 
     def _guard(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Shorten the step x ← x − y until no cell is inverted and no closed point slides too far."""
@@ -292,8 +323,9 @@ class NewtonSolver:
         return -dy / dz
 
     def _failure(self, reason: int) -> str:
-        last = self.result.norms[-1] if self.result.norms else []
-        names = ["equilibrium", *(pair.name for pair in self.problem.pairs)]
+        if not self.result.norms:
+            return "the residual is not a number at the start: a cell is inverted, or a law or load has no value there"
+        names, last = ["equilibrium", *(pair.name for pair in self.problem.pairs)], self.result.norms[-1]
         open_blocks = ", ".join(f"{n} at {v:.1e} of its tolerance" for n, v in zip(names, last, strict=True) if v > 1)
         known = {_Reason.DIVERGED_MAX_IT: "no convergence", _Reason.DIVERGED_LINEAR_SOLVE: "the linear solve failed"}
         why = known.get(reason, f"SNES stopped with reason {reason}")

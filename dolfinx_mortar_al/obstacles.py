@@ -1,6 +1,6 @@
 """Rigid obstacles: planes, spheres (circles) and cylinders as targets with a closed-form closest-point map.
 
-An obstacle has no unknowns: its :class:`~dolfinx_mortar_al.projection.Projection` has no nodes, N and N,α are empty. Its
+An obstacle has no unknowns: its :class:`~dolfinx_mortar_al.closest_point.ClosestPoint` has no nodes, N and N,α are empty. Its
 tangents 𝐚_α are the principal directions in arc length, so that A = 1 and κ is diagonal. A material point of it is named by
 its initial position Y; at present it is at pivot + Q (Y − pivot) + translation.
 """
@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
-from dolfinx_mortar_al.projection import Projection, TargetPoint
+from dolfinx_mortar_al.closest_point import ClosestPoint
+from dolfinx_mortar_al.projection import TargetPoint
 
 __all__ = ["Obstacle", "Pose", "RigidCylinder", "RigidPlane", "RigidSphere"]
 
@@ -109,7 +109,7 @@ class Obstacle(ABC):
         """Present positions (n, gdim) of the material points with initial positions Y (n, gdim)."""
         return self.pivot + self._pose.translation + (Y - self.pivot) @ self._pose.rotation.T
 
-    def project(self, x: Array) -> Projection:
+    def project(self, x: Array) -> ClosestPoint:
         """The closest-point map of 𝐱 (n, gdim); its `point.η` (n, gdim) is the closest point's initial position Y."""
         Q, present = self._pose.rotation, self.pivot + self._pose.translation
         near = self._nearest((x - present) @ Q)
@@ -118,7 +118,7 @@ class Obstacle(ABC):
         g = -np.einsum("ni,ni->n", ν, x - y)
         eye = np.eye(dim)
         stretch = np.where(near.defined[:, None], 1.0 + g[:, None] * near.κ, 1.0)  # Ā = A + g κ
-        return Projection(
+        return ClosestPoint(
             point=TargetPoint(np.zeros(n, dtype=np.int64), self.pivot + near.r),
             facing=near.defined,
             N=np.zeros((n, 0)),
@@ -233,6 +233,8 @@ def _rotation_matrix(rotation: ArrayLike | None, gdim: int) -> Array:
     if rotation is None:
         return np.eye(gdim)
     if gdim == 3:
+        from scipy.spatial.transform import Rotation  # slow to import
+
         return np.asarray(Rotation.from_rotvec(_vector("rotation", rotation, 3)).as_matrix(), dtype=np.float64)
     angle = np.asarray(rotation, dtype=np.float64)
     if angle.size != 1 or not np.isfinite(angle).all():

@@ -9,8 +9,7 @@ of ranks that share no ghost: element blocks are inserted with global indices an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from dolfinx import fem
@@ -18,28 +17,40 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from dolfinx_mortar_al.added_mass import AddedMass
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.monitors import Finding, Monitor
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector, matrix_with_pattern
-from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.stopwatch import Stopwatch
 
-__all__ = ["ContactProblem", "State"]
+__all__ = ["ContactProblem", "Snapshot", "Term"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-@dataclass
-class State:
-    """What a step may change, on this rank: displacements (owned), and of each pair multiplier, slip history and λ̂_N."""
+#: All that a step may change, on this rank: arrays by the name of the member that owns them and their own.
+Snapshot = dict[str, dict[str, Array]]
 
-    u: Array
-    multipliers: list[Array]
-    history: list[TargetPoint]
-    pressures: list[Array]
+
+class Member(Protocol):
+    """What has a state that steps change: bodies, pairs, motions."""
+
+    def snapshot(self) -> dict[str, Array]:
+        """Copies of its arrays."""
+
+    def restore(self, saved: dict[str, Array]) -> None:
+        """Back to a snapshot."""
+
+
+class Term(Protocol):
+    """Forces on the displacements that are neither bulk nor contact, such as those of added mass."""
+
+    def add_force(self, b: PETSc.Vec) -> None:
+        """Add the force (N) at the present state."""
+
+    def add_jacobian(self, A: PETSc.Mat) -> None:
+        """Add its derivative (N/m); it has no entry outside of the bulk's pattern."""
 
 
 class ContactProblem:
@@ -81,10 +92,13 @@ class ContactProblem:
             raise ValueError(
                 "u: det F ≤ 0 somewhere in the start state; start from a displacement without inverted cells"
             )
-        #: a change of the bodies' mass in dynamics, with its own force and share of the Jacobian
-        self.added_mass: AddedMass | None = None
+        #: further forces
+        self.terms: list[Term] = []
         with self.stopwatch("contact set-up"):
             self.pairs = [ContactPair(c, self.bodies, self.stopwatch) for c in contacts]
+        #: what a snapshot is made of, in the order in which it is restored
+        self.members: dict[str, Member] = {"bodies": self.bodies}
+        self.members |= {f"pair{k}": pair for k, pair in enumerate(self.pairs)}
         with self.stopwatch("bulk"):
             stiffness = self._create_matrices()
         for pair in self.pairs:
@@ -123,6 +137,7 @@ class ContactProblem:
         self._make_nest()
         self.x = PETSc.Vec().createNest([layout.vector() for layout in self._layouts], comm=self.comm)
         self.residual = self.x.duplicate()
+        self._bulk = self.bodies.layout.vector()
         return diagonals
 
     def _grow_pattern(self) -> None:
@@ -135,12 +150,12 @@ class ContactProblem:
         if not self.comm.allreduce(grown, MPI.LOR):
             return
         for k, pair in enumerate(self.pairs):
-            self._seen[k] = np.union1d(self._seen[k], pair.with_neighbours(new[k]))
+            self._seen[k] = np.union1d(self._seen[k], pair.blocks.with_neighbours(new[k]))
         n = len(self.blocks)
         self.blocks = [[None] * n for _ in range(n)]
         contact = empty_matrix(self._layouts[0], self._layouts[0])
         for k, pair in enumerate(self.pairs, start=1):
-            UU, *others = pair.pattern(self._seen[k - 1])
+            UU, *others = pair.blocks.pattern(self._seen[k - 1])
             insert(contact, *UU)
             for (i, j), element in zip([(0, k), (k, 0), (k, k)], others, strict=True):
                 block = empty_matrix(self._layouts[i], self._layouts[j])
@@ -178,27 +193,47 @@ class ContactProblem:
         x.assemble()
 
     def assemble_residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        """The left-hand side of eq. (3) at x: forces, and k times the multipliers' residual (N)."""
+        """The left-hand side of eq. (3) at x with the active sets as they are: forces, and k times the multipliers'
+        residual (N)."""
         self.unpack(x)
-        parts = f.getNestSubVecs()
         with self.stopwatch("bulk"):
-            self.force_scale = self.bodies.residual(parts[0])
-            if self.added_mass is not None:
-                self.added_mass.add_force(parts[0])
-        for pair, part in zip(self.pairs, parts[1:], strict=True):
+            self.force_scale = self.bodies.residual(self._bulk)
+            for term in self.terms:
+                term.add_force(self._bulk)
+        for pair in self.pairs:
             pair.evaluate()
-            with self.stopwatch("contact"):
-                part.set(0.0)
-                insert_vector(part, *pair.multiplier_residual(), pair.unit)
-                part.assemble()
-                pair.switch(part)
+        self._add_contact(f)
+
+    def _add_contact(self, f: PETSc.Vec) -> None:
+        """f ← the bulk's forces and those of contact, as last evaluated."""
+        parts = f.getNestSubVecs()
+        self._bulk.copy(parts[0])
+        with self.stopwatch("contact"):
+            for pair, part in zip(self.pairs, parts[1:], strict=True):
                 part.set(0.0)  # and stays so at redundant nodes, whose value is 0 and whose row is diagonal
                 insert_vector(part, *pair.multiplier_residual(), pair.unit)
                 part.assemble()
                 for blocks, values in pair.body_residual():
                     insert_vector(parts[0], blocks, values)
-        parts[0].assemble()
-        f.assemble()
+            parts[0].assemble()
+            f.assemble()
+
+    def decide(self, f: PETSc.Vec) -> None:
+        """Let the active sets change, once per Newton iteration, and bring the residual f up to date with them."""
+        parts = f.getNestSubVecs()
+        with self.stopwatch("contact"):
+            changed = [pair.decide(part) for pair, part in zip(self.pairs, parts[1:], strict=True)]
+            if not any(changed):
+                return
+            for pair in self.pairs:
+                pair.apply_law()
+        self._add_contact(f)
+
+    def reconsider(self, f: PETSc.Vec) -> None:
+        """Bring the residual f up to date with friction bounds that were frozen or freed."""
+        for pair in self.pairs:
+            pair.apply_law()
+        self._add_contact(f)
 
     def assemble_jacobian(self) -> None:
         """The derivative of the residual at the state last evaluated."""
@@ -220,9 +255,9 @@ class ContactProblem:
             self.bodies.assemble_jacobian(self.blocks[0][0])
             if self.tension:
                 self._add_tension()
-            if self.added_mass is not None:
+            for term in self.terms:
                 self.blocks[0][0].assemble()
-                self.added_mass.add_jacobian(self.blocks[0][0])
+                term.add_jacobian(self.blocks[0][0])
         with self.stopwatch("contact"):
             for row in self.blocks:
                 for block in row:
@@ -252,32 +287,25 @@ class ContactProblem:
         return int(self.comm.allreduce(mine, MPI.SUM))
 
     def flipping_points(self) -> str:
-        """Where the law disagrees with the contact state it holds, in words (collective)."""
+        """Where the law disagrees with the active set, in words (collective)."""
         parts = []
         for pair in self.pairs:
-            points = self.comm.allgather(pair.points()[pair.closed != (pair.state.λN_hat >= 0.0)])
-            X = np.concatenate(points)
+            wrong = pair.active.at_odds(pair.state, pair.kinematics, pair.ε.normal) > 0
+            X = np.concatenate(self.comm.allgather(pair.points()[wrong]))
             if len(X):
                 parts.append(f"{pair.name}: {len(X)} points, the first at X = {np.array2string(X[0], precision=4)}")
         return "; ".join(parts) or "no point at odds with the law"
 
     # ---------------------------------------------------------------- transactions
 
-    def state(self) -> State:
+    def snapshot(self) -> Snapshot:
         """A copy of all that a step may change."""
-        return State(
-            self.bodies.get(),
-            [pair.multiplier.field.x.array.copy() for pair in self.pairs],
-            [pair.history.copy() for pair in self.pairs],
-            [pair.state.λN_hat.copy() for pair in self.pairs],
-        )
+        return {name: member.snapshot() for name, member in self.members.items()}
 
-    def restore(self, state: State) -> None:
-        """Back to an earlier state, slip history included; Newton starts from the contact state that λ̂_N says."""
-        self.bodies.set(state.u)
-        for k, pair in enumerate(self.pairs):
-            pair.multiplier.field.x.array[:] = state.multipliers[k]
-            pair.restore(state.history[k], state.pressures[k])
+    def restore(self, saved: Snapshot) -> None:
+        """Back to an earlier state, slip history included; Newton starts from the active set that λ̂_N says."""
+        for name, member in self.members.items():
+            member.restore(saved[name])
 
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""

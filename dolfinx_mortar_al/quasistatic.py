@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.monitors import Finding, Reporter
 from dolfinx_mortar_al.newton import Load, NewtonSolver, Path
-from dolfinx_mortar_al.problem import ContactProblem, State
+from dolfinx_mortar_al.problem import ContactProblem, Snapshot
 
 __all__ = ["Step", "StepFailure", "follow", "march"]
 
 MAX_ORDER = 4  # of the predictor's polynomial
-MAX_ORDER_WITH_FRICTION = 1  # slip makes a history of kinks: measured, docs/newton.md
+BETTER = 3.0  # factor by which a higher order must have been better to be used: measured, docs/newton.md
 EVENT = 2.0**-6  # of an asked-for increment: how closely an event is met
 EASY = 8  # Newton iterations up to which an increment that was cut may grow again
 
@@ -238,20 +238,21 @@ class _Past:
 
     def __init__(self, problem: ContactProblem) -> None:
         self.problem = problem
-        friction = any(pair.contact.friction for pair in problem.pairs)
-        self.max_order = MAX_ORDER_WITH_FRICTION if friction else MAX_ORDER
         self.loads: list[float] = []
-        self.states: list[State] = []
-        self.order = 1
+        self.states: list[Snapshot] = []
+        #: of each predicted array, the polynomial order to predict it with
+        self._order = {(member, name): 1 for member, name in self._predicted()}
+
+    def _predicted(self) -> list[tuple[str, str]]:
+        """What is extrapolated: member and name of arrays of a snapshot."""
+        return [("bodies", "u"), *((f"pair{k}", "multiplier") for k in range(len(self.problem.pairs)))]
 
     def add(self, load: float) -> None:
-        """A state has converged; choose the polynomial order that would have predicted it best."""
-        state = self.problem.state()
-        self.order = self._best_order(load, state.u)
-        self.loads, self.states = (
-            [*self.loads, load][-self.max_order - 1 :],
-            [*self.states, state][-self.max_order - 1 :],
-        )
+        """A state has converged; choose the polynomial orders that would have predicted it well."""
+        state = self.problem.snapshot()
+        for array in self._order:
+            self._order[array] = self._best_order(state, array, load)
+        self.loads, self.states = [*self.loads, load][-MAX_ORDER - 1 :], [*self.states, state][-MAX_ORDER - 1 :]
 
     def restore(self) -> None:
         """Undo: back to the last converged state."""
@@ -259,36 +260,42 @@ class _Past:
 
     def predict(self, load: float) -> None:
         """Displacement and multipliers extrapolated to `load`; and λ̂_N, which says what points to expect closed, linearly
-        and half the way only: too much closed costs more iterations than too little (docs/newton.md)."""
+        and half the way only: too much closed costs more iterations than too little (docs/newton.md). The last state
+        itself, where an extrapolated one has inverted cells."""
         self.restore()
         if len(self.states) < 2:
             return
-        used, weights = self._weights(load, self.order)
         problem = self.problem
-        problem.bodies.set(sum((w * s.u for w, s in zip(weights, used, strict=True)), np.zeros_like(used[0].u)))
+        problem.bodies.set(self._extrapolated(("bodies", "u"), load, self._order["bodies", "u"]))
+        if problem.inverted_volume() > 0:
+            self.restore()
+            return
         for k, pair in enumerate(problem.pairs):
-            values = sum(w * s.multipliers[k] for w, s in zip(weights, used, strict=True))
-            pair.multiplier.field.x.array[:] = values
-        if len(self.states) > 2:  # the start state's contact is a guess
-            used, weights = self._weights((load + self.loads[-1]) / 2, 1)
-            for k, pair in enumerate(problem.pairs):
-                λN_hat = sum(w * s.pressures[k] for w, s in zip(weights, used, strict=True))
-                pair.restore(self.states[-1].history[k], np.asarray(λN_hat))
+            name = f"pair{k}"
+            predicted = dict(self.states[-1][name])
+            array = name, "multiplier"
+            predicted["multiplier"] = self._extrapolated(array, load, self._order[array])
+            if len(self.states) > 2:  # the start state's contact is a guess
+                predicted["λN_hat"] = self._extrapolated((name, "λN_hat"), (load + self.loads[-1]) / 2, 1)
+            pair.restore(predicted)
 
-    def _weights(self, load: float, order: int) -> tuple[list[State], NDArray[np.float64]]:
-        """The last order + 1 states and their Lagrange weights at `load`."""
+    def _extrapolated(self, array: tuple[str, str], load: float, order: int) -> NDArray[np.float64]:
+        """An array of the last order + 1 snapshots, extrapolated to `load` by Lagrange's polynomial."""
         x = np.array(self.loads[-order - 1 :])
-        weights = [np.prod([(load - b) / (a - b) for b in x if b != a]) for a in x]
-        return self.states[-len(x) :], np.array(weights)
+        weights = np.array([np.prod([(load - b) / (a - b) for b in x if b != a]) for a in x])
+        member, name = array
+        return np.asarray(weights @ np.stack([state[member][name] for state in self.states[-len(x) :]]))
 
-    def _best_order(self, load: float, u: NDArray[np.float64]) -> int:
-        orders = range(1, len(self.states))
-        errors = []
-        for order in orders:
-            used, weights = self._weights(load, order)
-            miss = u - sum(w * s.u for w, s in zip(weights, used, strict=True))
-            errors.append(self.problem.comm.allreduce(float(miss @ miss), MPI.SUM))
-        return min(self.max_order, 1 + int(np.argmin(errors))) if errors else 1
+    def _best_order(self, state: Snapshot, array: tuple[str, str], load: float) -> int:
+        """The order that would have predicted `state` best; a higher one only where it is BETTER times as good."""
+        member, name = array
+        best, least = 1, np.inf
+        for order in range(1, min(MAX_ORDER + 1, len(self.states))):
+            miss = state[member][name] - self._extrapolated(array, load, order)
+            size = np.sqrt(self.problem.comm.allreduce(float(miss @ miss), MPI.SUM))
+            if size * BETTER < least:
+                best, least = order, size
+        return best
 
 
 class _Bar:

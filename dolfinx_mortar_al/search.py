@@ -1,6 +1,6 @@
-"""Broad phase: which target facets can hold the closest point of each contactor point.
+"""Broad phase: which target facets can hold the closest point of each contactor point, or meet its ray.
 
-Candidates are found with a margin and stay valid until contactor points or target nodes have moved by a quarter of it.
+Candidates are found with a margin and stay valid until points, nodes or rays have moved by a quarter of it.
 """
 
 from __future__ import annotations
@@ -12,10 +12,27 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.surface import GatheredFacets
 
-__all__ = ["CandidateSearch", "candidates"]
+__all__ = ["CandidateSearch", "RaySearch", "candidates", "ray_candidates"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+BATCH = 2**20  # couples of points and facets looked at together: bounds the memory of a search
+
+
+def _balls(facets: Array) -> tuple[Array, Array]:
+    """Centre (nf, gdim) and radius (nf,) of a ball around each facet with nodes (nf, k, gdim)."""
+    centre = facets.mean(axis=1)
+    # a facet of order 2 stays within 1.25 times the hull of its nodes seen from their mean (Lebesgue constant)
+    return centre, 1.25 * np.linalg.norm(facets - centre[:, None], axis=2).max(axis=1)
+
+
+def _table(row: Index, facet: Index, n: int) -> Index:
+    """(n, k) the facets of each row, padded with −1, from couples in order of `row`."""
+    count = np.bincount(row, minlength=n)
+    table = np.full((n, max(1, int(count.max(initial=0)))), -1, dtype=np.int64)
+    table[row, np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)] = facet
+    return table
 
 
 def candidates(x: Array, facets: Array, margin: float) -> Index:
@@ -28,9 +45,7 @@ def candidates(x: Array, facets: Array, margin: float) -> Index:
     """
     from scipy.spatial import cKDTree
 
-    centre = facets.mean(axis=1)
-    # a facet of order 2 stays within 1.25 times the hull of its nodes seen from their mean (Lebesgue constant)
-    radius = 1.25 * np.linalg.norm(facets - centre[:, None], axis=2).max(axis=1)
+    centre, radius = _balls(facets)
     tree = cKDTree(centre)
     # no point of the target is closer than `nearest` to x, and one is at most that far: a node of the nearest facet
     _, close = tree.query(x)
@@ -40,16 +55,38 @@ def candidates(x: Array, facets: Array, margin: float) -> Index:
     facet = np.concatenate([np.asarray(b, dtype=np.int64) for b in balls]) if len(x) else np.empty(0, dtype=np.int64)
     row = np.repeat(np.arange(len(x)), count)
     keep = np.linalg.norm(x[row] - centre[facet], axis=1) - radius[facet] <= nearest[row] + margin
-    row, facet = row[keep], facet[keep]
-    count = np.bincount(row, minlength=len(x))
-    table = np.full((len(x), max(1, int(count.max(initial=0)))), -1, dtype=np.int64)
-    table[row, np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)] = facet
-    return table
+    return _table(row[keep], facet[keep], len(x))
+
+
+def ray_candidates(x: Array, normal: Array, facets: Array, margin: float) -> tuple[Index, Array]:
+    """(n, k) facets within `margin` (m) of the lines through 𝐱 along `normal`, padded with −1; and (n,) how far along the
+    line the farthest of them is (m).
+
+    Args:
+        x: (n, gdim) points; normal: (n, gdim) unit vectors.
+        facets: (nf, nodes, gdim) positions of the facets' nodes.
+    """
+    centre, radius = _balls(facets)
+    origin = centre.mean(axis=0)  # distances far from the coordinates' origin would lose their digits
+    centre, x = centre - origin, x - origin
+    along_facets, size = centre @ normal.T, np.einsum("fi,fi->f", centre, centre)
+    rows, columns, reach = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], np.zeros(len(x))
+    batch = max(1, BATCH // max(len(centre), 1))
+    for first in range(0, len(x), batch):
+        part = slice(first, first + batch)
+        p, n = x[part], normal[part]
+        along = along_facets[:, part].T - np.einsum("ni,ni->n", p, n)[:, None]
+        squared = size - 2 * p @ centre.T + np.einsum("ni,ni->n", p, p)[:, None] - along**2
+        i, j = np.nonzero(squared <= (radius + margin) ** 2)
+        np.maximum.at(reach, first + i, np.abs(along[i, j]))
+        rows.append(first + i)
+        columns.append(j)
+    return _table(np.concatenate(rows), np.concatenate(columns), len(x)), reach
 
 
 @dataclass
 class CandidateSearch:
-    """Keeps a table of candidates and renews it when something has moved too far."""
+    """Keeps a table of candidates for closest points and renews it when something has moved too far."""
 
     target: GatheredFacets
     rebuilds: int = 0
@@ -67,5 +104,31 @@ class CandidateSearch:
         return self._table
 
 
+@dataclass
+class RaySearch:
+    """Keeps a table of the facets near each ray and renews it when points, nodes or rays have moved too far."""
+
+    target: GatheredFacets
+    rebuilds: int = 0
+    _table: Index | None = None
+    _x: Array = field(default_factory=lambda: np.empty(0))
+    _normal: Array = field(default_factory=lambda: np.empty(0))
+    _nodes: Array = field(default_factory=lambda: np.empty(0))
+    _reach: Array = field(default_factory=lambda: np.empty(0))
+
+    def __call__(self, x: Array, normal: Array, nodes: Array) -> Index:
+        """Candidates for rays from `x` along `normal` and target nodes at `nodes`."""
+        margin = 0.5 * self.target.size_of_facets
+        if (
+            self._table is None
+            or not (_near(x, self._x, margin / 4) and _near(nodes, self._nodes, margin / 4))
+            or not _near(self._reach[:, None] * normal, self._reach[:, None] * self._normal, margin / 4)
+        ):
+            self._table, self._reach = ray_candidates(x, normal, nodes[self.target.facets], margin)
+            self._x, self._normal, self._nodes = x.copy(), normal.copy(), nodes.copy()
+            self.rebuilds += 1
+        return self._table
+
+
 def _near(a: Array, b: Array, distance: float) -> bool:
-    return not a.size or bool(np.max(np.einsum("ni,ni->n", a - b, a - b)) <= distance**2)
+    return a.shape == b.shape and (not a.size or bool(np.max(np.einsum("ni,ni->n", a - b, a - b)) <= distance**2))

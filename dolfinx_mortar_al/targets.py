@@ -1,13 +1,14 @@
 """The target's side of a contact pair: a deformable surface, or a rigid obstacle without unknowns.
 
-Both answer the same questions: where is the closest point, where is a material point now, which unknowns move it. A rigid
-obstacle has no nodes, so that every array over target nodes is empty.
+Both answer the same questions: what does a contactor point face, where is a material point now, which unknowns move it. A
+rigid obstacle has no nodes, so that every array over target nodes is empty; it is projected onto in closed form.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import fem
@@ -15,15 +16,30 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.closest_point import ClosestPoint, project
 from dolfinx_mortar_al.obstacles import Obstacle
-from dolfinx_mortar_al.projection import Projection, TargetPoint, project
-from dolfinx_mortar_al.search import CandidateSearch
+from dolfinx_mortar_al.projection import Projection, TargetPoint
+from dolfinx_mortar_al.rays import cast
+from dolfinx_mortar_al.search import CandidateSearch, RaySearch
 from dolfinx_mortar_al.surface import Facets, Surface
 
-__all__ = ["DeformableTarget", "RigidTarget", "Target", "target_of"]
+__all__ = ["ContactorPoints", "DeformableTarget", "RigidTarget", "Target", "target_of"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ContactorPoints:
+    """Where n contactor points are now.
+
+    Attributes:
+        x: (n, gdim) positions (m); normal: (n, gdim) outward unit normals; tangents: (n, dim, gdim) 𝐚₁_α (m).
+    """
+
+    x: Array
+    normal: Array
+    tangents: Array
 
 
 class Target(ABC):
@@ -34,7 +50,8 @@ class Target(ABC):
         blocks: (nodes,) numbers of the target's nodes among all bodies'.
         fixed: (nodes, gdim) whether a component is prescribed; end_nodes: (nodes,) whether a node lies on an end.
         size: largest diameter of a facet (m), the length by which gaps are judged.
-        dim: of the surface.
+        dim: of the surface; is_rigid: whether it is an obstacle; uses_rays: whether it is projected onto along the
+            contactor's normals.
     """
 
     facets: Index
@@ -44,14 +61,20 @@ class Target(ABC):
     end_nodes: NDArray[np.bool_]
     size: float
     dim: int
+    uses_rays: bool
+    is_rigid = False
 
     @abstractmethod
     def refresh(self) -> None:
         """Take up the present displacements or pose (collective)."""
 
     @abstractmethod
-    def project(self, x: Array, previous: TargetPoint | None, held: NDArray[np.bool_] | None) -> Projection:
-        """The closest-point map of 𝐱 (n, gdim) onto the target as it is now."""
+    def project(self, points: ContactorPoints) -> Projection:
+        """What the points face on the target as it is now."""
+
+    @abstractmethod
+    def closest(self, x: Array) -> ClosestPoint:
+        """The target's closest points to 𝐱 (n, gdim), whether they are faced or not."""
 
     @abstractmethod
     def weights(self, point: TargetPoint) -> Array:
@@ -69,11 +92,12 @@ class Target(ABC):
 class DeformableTarget(Target):
     """A surface of a body or membrane, whole on every rank; only its positions travel."""
 
-    def __init__(self, surface: Surface, bodies: Bodies) -> None:
+    def __init__(self, surface: Surface, bodies: Bodies, uses_rays: bool) -> None:
         k = bodies.index(surface.mesh)
         self._body = bodies.bodies[k]
         self.surface = Facets.of(surface, self._body.space).gather()
-        self.search = CandidateSearch(self.surface)
+        self.uses_rays = uses_rays
+        self._near, self._on_rays = CandidateSearch(self.surface), RaySearch(self.surface)
         self.facets, self.neighbours = self.surface.facets, self.surface.neighbours
         self.blocks, self.end_nodes = bodies.common(k, self.surface.blocks), self.surface.end_nodes
         self.size, self.dim = self.surface.size_of_facets, self.surface.shape.dim
@@ -92,10 +116,17 @@ class DeformableTarget(Target):
     def refresh(self) -> None:
         self._nodes = self.surface.X + self.at_nodes(self._body.u)
 
-    def project(self, x: Array, previous: TargetPoint | None, held: NDArray[np.bool_] | None) -> Projection:
-        return project(self.surface, self._nodes, x, self.search(x, self._nodes), previous, held)
+    def project(self, points: ContactorPoints) -> Projection:
+        x, surface = points.x, self.surface
+        if not self.uses_rays:
+            return project(surface, self._nodes, x, self._near(x, self._nodes))
+        table = self._on_rays(x, points.normal, self._nodes)
+        return cast(surface, self._nodes, x, points.normal, points.tangents, table, self._near)
 
-    def at_reference(self, X: Array) -> Projection:
+    def closest(self, x: Array) -> ClosestPoint:
+        return project(self.surface, self._nodes, x, CandidateSearch(self.surface)(x, self._nodes))
+
+    def at_reference(self, X: Array) -> ClosestPoint:
         """The closest-point map of reference points onto the reference target."""
         x = self.surface.X
         return project(self.surface, x, X, CandidateSearch(self.surface)(X, x))
@@ -115,6 +146,8 @@ class DeformableTarget(Target):
 class RigidTarget(Target):
     """A rigid obstacle; `size` is that of the contactor's facets."""
 
+    is_rigid = True
+
     def __init__(self, obstacle: Obstacle, gdim: int, size: float) -> None:
         if obstacle.gdim != gdim:
             raise ValueError(f"target: an obstacle in {obstacle.gdim} dimensions for bodies in {gdim}")
@@ -122,11 +155,15 @@ class RigidTarget(Target):
         self.facets, self.neighbours = np.zeros((1, 0), dtype=np.int64), np.zeros((1, 1), dtype=np.int64)
         self.blocks, self.end_nodes = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
         self.fixed = np.zeros((0, gdim), dtype=bool)
+        self.uses_rays = False
 
     def refresh(self) -> None:
         pass
 
-    def project(self, x: Array, previous: TargetPoint | None, held: NDArray[np.bool_] | None) -> Projection:
+    def project(self, points: ContactorPoints) -> Projection:
+        return self.obstacle.project(points.x)
+
+    def closest(self, x: Array) -> ClosestPoint:
         return self.obstacle.project(x)
 
     def weights(self, point: TargetPoint) -> Array:
@@ -139,8 +176,8 @@ class RigidTarget(Target):
         return np.inf
 
 
-def target_of(target: Surface | Obstacle, bodies: Bodies, size: float) -> Target:
+def target_of(target: Surface | Obstacle, bodies: Bodies, size: float, uses_rays: bool) -> Target:
     """The target of a contact description; `size`: of the contactor's facets (m)."""
     if isinstance(target, Obstacle):
         return RigidTarget(target, bodies.gdim, size)
-    return DeformableTarget(target, bodies)
+    return DeformableTarget(target, bodies, uses_rays)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dolfinx_mortar_al.law import OPEN, SLIP, STICK, Augmentation, Coulomb, Frictionless
+from dolfinx_mortar_al.law import OPEN, SLIP, STICK, Augmentation, Coulomb, Frictionless, augmented_normal
 from dolfinx_mortar_al.projection import Projection, TargetPoint
 
 
@@ -13,7 +13,7 @@ def point_geometry(ν, g):
     none = np.zeros((n, 0))
     facing = np.ones(n, dtype=bool)
     return Projection(
-        TargetPoint(np.zeros(n, int), none), facing, none, none, none, none, ν, g, none, none, none, facing
+        TargetPoint(np.zeros(n, int), none), facing, none, none, none, none, ν, g
     )
 
 
@@ -36,7 +36,8 @@ def test_coulomb_is_eq_1(dim):
     ν /= np.linalg.norm(ν, axis=1, keepdims=True)
     Λ, s, g = rng.standard_normal((n, dim)), 0.2 * rng.standard_normal((n, dim)), rng.standard_normal(n)
     Λ[0] = s[0] = 0.0  # λ̂_T = 0, where the bracket is replaced by 0
-    state = Coulomb(ε, μ).evaluate(Λ, point_geometry(ν, g), s, np.zeros(n))
+    closed = augmented_normal(np.einsum("ni,ni->n", Λ, ν), g, ε) >= 0
+    state = Coulomb(ε, μ).evaluate(Λ, point_geometry(ν, g), s, closed, None)
     for k in range(n):
         t, r = slow_law(Λ[k], ν[k], g[k], s[k], μ, ε)
         assert np.allclose(state.t[k], t, atol=1e-14)
@@ -52,7 +53,25 @@ def test_frictionless_is_coulomb_without_friction_in_the_normal_direction():
     ν = np.tile([0.6, 0.8], (n, 1))
     λ, g = rng.standard_normal((n, 1)), rng.standard_normal(n)
     at = point_geometry(ν, g)
-    a = Frictionless(ε).evaluate(λ, at, None, np.zeros(n))
-    b = Coulomb(ε, 1e-300).evaluate(λ * ν, at, np.zeros((n, 2)), np.zeros(n))
+    closed = augmented_normal(λ[:, 0], g, ε) >= 0
+    a = Frictionless(ε).evaluate(λ, at, None, closed, None)
+    b = Coulomb(ε, 1e-300).evaluate(λ * ν, at, np.zeros((n, 2)), closed, None)
     assert np.allclose(a.t, b.t, atol=1e-14)
     assert np.allclose(a.r, np.einsum("ni,ni->n", b.r, ν)[:, None], atol=1e-14)
+
+
+def test_a_frozen_bound_takes_the_place_of_μp():
+    """Tresca's law where a bound is given, Coulomb's where it is not a number."""
+    rng = np.random.default_rng(2)
+    n, ε, μ = 50, Augmentation(1.0, 1.0), 0.4
+    ν = np.tile([0.0, 1.0], (n, 1))
+    Λ, s, g = rng.standard_normal((n, 2)), rng.standard_normal((n, 2)), np.ones(n)
+    frozen = np.where(np.arange(n) % 2, 0.05, np.nan)
+    closed = np.ones(n, dtype=bool)
+    state = Coulomb(ε, μ).evaluate(Λ, point_geometry(ν, g), s, closed, frozen)
+    free = Coulomb(ε, μ).evaluate(Λ, point_geometry(ν, g), s, closed, None)
+    slip = state.status == SLIP
+    friction = np.abs(state.t[:, 0])
+    assert np.allclose(friction[slip & ~np.isnan(frozen)], 0.05, rtol=1e-14)
+    assert np.allclose(state.t[np.isnan(frozen)], free.t[np.isnan(frozen)], rtol=1e-14)
+    assert np.all(state.slope[~np.isnan(frozen)] == 0.0)

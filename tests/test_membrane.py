@@ -231,10 +231,8 @@ def test_tangent_of_membranes_in_contact(dim, order, friction):
         problem.assemble_residual(problem.x, problem.residual)
         return [part.array.copy() for part in problem.residual.getNestSubVecs()]
 
-    pair.patience = 0.0
     at(0.0)
-    pair.closed = pair.at.facing & (pair.state.λN_hat > 0)
-    pair.switch = lambda residual: None
+    pair.active.closed = pair.at.facing & (pair.state.λN_hat > 0)
     at(0.0)
     counts = np.bincount(np.concatenate(problem.comm.allgather(pair.state.status)), minlength=3)
     assert counts[SLIP] + counts[STICK] > 0

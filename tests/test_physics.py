@@ -45,7 +45,7 @@ def test_action_equals_reaction():
     problem, P = beams(friction=0.3)
     solve(problem, P, 5.0, 2)
     pair, comm = problem.pairs[0], problem.comm
-    pair._contactor_fixed[:] = pair.target.fixed[:] = False  # count what the clamps take, too
+    pair.blocks.fixed[:] = pair.target.fixed[:] = False  # count what the clamps take, too
     on = [np.sum(comm.allgather(values.sum(axis=(0, 1))), axis=0) for _, values in pair.body_residual()]
     assert np.linalg.norm(on[0]) > 1.0
     assert np.allclose(on[0], -on[1], rtol=1e-10)
@@ -72,13 +72,14 @@ def test_superposed_rotation_gives_no_slip_and_rotated_forces(dim):
     pair.evaluate()
     pair.commit()
     pair.evaluate()
-    pair.closed = pair.state.λN_hat > 0
+    pair.active.closed = pair.state.λN_hat > 0
     pair.evaluate()
     t = pair.state.t.copy()
     set_field(problem, lambda X: (X + waves(X)) @ Q.T - X, lambda X: traction(X) @ Q.T, clamped=False)
     pair.evaluate()
     assert np.abs(t).max(initial=0.0) > 0 or not len(t)
-    assert np.allclose(pair.s, 0.0, atol=1e-10)
+    tangential = pair.s - pair.at.ν * np.sum(pair.s * pair.at.ν, axis=1, keepdims=True)
+    assert np.allclose(tangential, 0.0, atol=1e-10)
     assert np.allclose(pair.state.t, t @ Q.T, atol=1e-10 * 1e3 + 1e-10 * 1e7)  # Pa; gaps are good to 1e-16 × ε
 
 

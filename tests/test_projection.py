@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from dolfinx_mortar_al.projection import TargetPoint, project
+from dolfinx_mortar_al.closest_point import project
 from dolfinx_mortar_al.search import CandidateSearch, candidates
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions
 
@@ -104,17 +104,3 @@ def test_candidates_hold_the_closest_facet_after_motion_within_the_margin(cell):
     a = project(surface, surface.X, moved, near)
     b = project(surface, surface.X, moved, every)
     assert np.allclose(np.linalg.norm(moved - a.y, axis=1), np.linalg.norm(moved - b.y, axis=1), atol=1e-12)
-
-
-def test_a_held_point_stays_on_its_facet_continued():
-    """Past a vertex a held point sees the old facet's parabola go on: y and ν are smooth there."""
-    surface = curved_surface("line", 2)
-    x = np.stack([np.linspace(0.30, 0.36, 200), 0.3 * np.sin(2 * np.linspace(0.30, 0.36, 200)) - 1e-3], axis=1)
-    start = project(surface, surface.X, x[:1], CandidateSearch(surface)(x[:1], surface.X))
-    previous = TargetPoint(np.repeat(start.point.facet, len(x)), np.repeat(start.point.η, len(x), axis=0))
-    every = np.tile(np.arange(len(surface.facets)), (len(x), 1))
-    at = project(surface, surface.X, x, every, previous, np.ones(len(x), dtype=bool))
-    assert np.all(at.point.facet == start.point.facet)
-    assert at.point.η.max() > 1.0
-    tilt = np.arctan2(at.ν[:, 1], at.ν[:, 0])
-    assert np.ptp(np.diff(tilt)) < 1e-4  # no jump: the steps of ν's angle change smoothly

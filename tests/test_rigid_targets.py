@@ -131,8 +131,7 @@ def test_tangent_on_a_curved_obstacle():
 
     at(0.0)
     circle.move([1e-3, -0.01])
-    pair.closed = pair.at.facing & (pair.state.λN_hat > 0)
-    pair.switch = lambda residual: None
+    pair.active.closed = pair.at.facing & (pair.state.λN_hat > 0)
     at(0.0)
 
     def go():

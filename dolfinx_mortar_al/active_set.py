@@ -1,0 +1,131 @@
+"""The active set of a pair: which points are closed, and which friction bounds are frozen (``docs/newton.md``).
+
+Decisions are taken once per Newton iteration, in :meth:`ActiveSet.decide`; between them the residual is a function of the
+unknowns alone. At convergence the set is that of eq. (1): closed where λ̂_N ≥ 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem
+from dolfinx.la import InsertMode
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from dolfinx_mortar_al.blocks import Blocks
+from dolfinx_mortar_al.kinematics import Kinematics
+from dolfinx_mortar_al.law import OPEN, LawState
+
+__all__ = ["ActiveSet"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Bool = NDArray[np.bool_]
+
+CLOSES = 3.0  # an open point closes beyond this many times what makes a closed one open: closing by mistake costs more
+WEAK = 0.1  # share of the largest pressure below which points of a first, all-closed guess open
+LOSSES = 2  # times a closed point may slide off the target before it stays open for the rest of a solve
+
+
+class ActiveSet:
+    """Closed points and frozen bounds of a pair, and the rules by which they change.
+
+    Args:
+        blocks: of the pair.
+        comm: of the problem.
+
+    Attributes:
+        closed: (n,) points that count as closed.
+        frozen: (n,) friction bound in place of μp (Pa), not a number where it is free; None if all are.
+        patience: gaps are trusted to this many times their error.
+        guessed: whether `closed` is a first guess rather than what a converged step left.
+        cautious: whether the rules of statics hold; if not, the sign of λ̂_N decides alone.
+    """
+
+    def __init__(self, blocks: Blocks, comm: MPI.Intracomm) -> None:
+        self._comm = comm
+        n = blocks.points.size
+        self.closed: Bool = np.zeros(n, dtype=bool)
+        self.frozen: Array | None = None
+        self.guessed, self.cautious = True, True
+        self.patience = 1.0
+        self._losses: Index = np.zeros(n, dtype=np.int64)
+        multiplier, points = blocks.multiplier, blocks.points
+        area = fem.Function(multiplier.field.function_space)
+        np.add.at(
+            area.x.array.reshape(-1, multiplier.components),
+            multiplier.dofs,
+            points.sum_by_facet(points.j[:, None, None] * np.abs(blocks.NΛ)),
+        )
+        area.x.scatter_reverse(InsertMode.add)
+        self._node_area = area.x.petsc_vec.copy()
+        self._node_area.array[self._node_area.array_r == 0.0] = 1.0  # redundant nodes
+
+    def begin(self) -> None:
+        """A new solve: gaps are trusted as at first, bounds are free, and points may come back to the target."""
+        self.patience, self._weak_may_open, self.frozen = 1.0, self.guessed, None
+        self._losses[:] = 0
+
+    @property
+    def _left(self) -> Bool:
+        """(n,) points that have slid off the target for good, as far as this solve goes."""
+        left: Bool = self._losses >= LOSSES
+        return left
+
+    def decide(self, state: LawState, kinematics: Kinematics, residual: PETSc.Vec, unit: float, εN: float) -> bool:
+        """Let points open and close, as far as the gaps are known; whether any did on this rank.
+
+        `residual` is `unit` × the multiplier's residual with the present set. Divided by the nodes' area it is how well the
+        gap condition is met, the error e of all gaps. A point that was closed opens where λ̂_N < −`patience`·ε_N e; one
+        that was open closes where λ̂_N is CLOSES times as far above zero. As Newton converges e vanishes and what remains is
+        eq. (1). A point that faces no target is open.
+        """
+        before, λ = self.closed, state.λN_hat
+        may_close = kinematics.may_close & ~self._left
+        if not self.cautious:
+            self.closed = may_close & (λ >= 0.0)
+            return not np.array_equal(before, self.closed)
+        error = residual.duplicate()
+        error.pointwiseDivide(residual, self._node_area)
+        e = error.norm(PETSc.NormType.NORM_INFINITY) / unit
+        known = εN * (self.patience * e + kinematics.touch)
+        release, close = -known, CLOSES * known
+        if self._weak_may_open:  # no history: what presses weakly in an all-closed start may open at once
+            weak = WEAK * self._comm.allreduce(float(λ[before].max(initial=0.0)), MPI.MAX)
+            if known < 0.1 * weak:
+                release, self._weak_may_open = weak, False
+        self._losses += before & ~kinematics.may_close
+        self.closed = may_close & (λ >= np.where(before, release, close))
+        return not np.array_equal(before, self.closed)
+
+    def expect(self, λN_hat: Array, kinematics: Kinematics, εN: float) -> None:
+        """Start from the set that λ̂_N (n,) says."""
+        self.closed = kinematics.may_close & (λN_hat >= -εN * kinematics.touch)
+
+    def at_odds(self, state: LawState, kinematics: Kinematics, εN: float) -> Array:
+        """(n,) |λ̂_N| (Pa) where a point is closed against λ̂_N < 0 or open against λ̂_N > 0, less what round-off explains."""
+        λ = np.where(kinematics.may_close & ~self._left, state.λN_hat, 0.0)
+        return np.maximum(np.where(self.closed, -λ, λ) - εN * kinematics.touch, 0.0)
+
+    # ---------------------------------------------------------------- friction bounds
+
+    def freeze(self, state: LawState) -> None:
+        """Hold the friction bound of closed points at its present value: Tresca's law, which has no stick–slip cycles."""
+        if state.bound is not None:
+            self.frozen = np.where(state.status != OPEN, state.bound, np.nan)
+
+    def thaw(self) -> None:
+        """Back to Coulomb's law."""
+        self.frozen = None
+
+    def staleness(self, state: LawState, μ: float) -> float:
+        """Largest difference between frozen bounds and μp, as a share of the largest μp (collective)."""
+        if self.frozen is None:
+            miss = 0.0
+        else:
+            closed = (state.status != OPEN) & ~np.isnan(self.frozen)
+            miss = float(np.abs(self.frozen - μ * np.maximum(state.p, 0.0))[closed].max(initial=0.0))
+        worst = self._comm.allreduce(miss, MPI.MAX)
+        largest = self._comm.allreduce(float(state.p.max(initial=0.0)), MPI.MAX)
+        return worst / max(μ * largest, 1e-300) if worst > 0 else 0.0

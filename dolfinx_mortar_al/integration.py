@@ -1,0 +1,110 @@
+"""Where the contactor's integrals are taken: points and weights on its reference facets.
+
+Today Gauss points, the same on each facet. All that comes after takes points one by one, so that points of another number on
+each facet (segments between the projections of the target's nodes) find their place here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.surface import Facets, surface_normal
+
+__all__ = ["IntegrationPoints", "default_degree"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# Non-matching target facets make integrands with kinks: twice the degree of the products of shape functions
+# (docs/integration.md has the defect of the patch test against the number of points)
+PER_ORDER = 4
+# a membrane has no bending stiffness: its pressure jumps at the edge of contact, inside a facet (docs/membranes.md)
+PER_ORDER_ON_CURVES = 6
+
+
+def default_degree(facets: Facets, is_membrane: bool) -> int:
+    """The quadrature degree that is used unless the user names one."""
+    if is_membrane and facets.shape.dim == 1:
+        return PER_ORDER_ON_CURVES * facets.shape.order + 1
+    return PER_ORDER * facets.shape.order
+
+
+@dataclass(frozen=True)
+class IntegrationPoints:
+    """The n points of this rank, facet after facet.
+
+    Attributes:
+        facets: they lie on.
+        facet: (n,) the facet of each point, ascending.
+        η: (n, dim) where on it; weight: (n,) in the reference facet.
+        thickness: out of the plane (m).
+    """
+
+    facets: Facets
+    facet: Index
+    η: Array
+    weight: Array
+    thickness: float
+
+    @classmethod
+    def gauss(cls, facets: Facets, degree: int, thickness: float) -> IntegrationPoints:
+        """Gauss points of a degree on each facet."""
+        η, weight = facets.shape.quadrature(degree)
+        facet = np.repeat(np.arange(facets.size), len(weight))
+        return cls(facets, facet, np.tile(η, (facets.size, 1)), np.tile(weight, facets.size), thickness)
+
+    @property
+    def size(self) -> int:
+        return len(self.facet)
+
+    @cached_property
+    def _tabulated(self) -> tuple[Array, Array]:
+        N, dN = self.facets.shape.tabulate(self.η, 1)
+        return N, dN
+
+    @property
+    def N(self) -> Array:
+        """(n, nodes) the contactor's shape functions N1."""
+        return self._tabulated[0]
+
+    @property
+    def dN(self) -> Array:
+        """(n, dim, nodes) their derivatives N1,α."""
+        return self._tabulated[1]
+
+    @cached_property
+    def j(self) -> Array:
+        """(n,) weight × reference area of each point (m², thickness included)."""
+        normal = surface_normal(self.tangents(self.facets.X))
+        return np.asarray(self.weight * np.linalg.norm(normal, axis=1) * self.thickness)
+
+    def interpolate(self, nodal: Array) -> Array:
+        """(n, gdim) values at the points of a nodal field (nf, nodes, gdim)."""
+        return np.asarray((self.N[:, None, :] @ nodal[self.facet])[:, 0])
+
+    def tangents(self, X: Array) -> Array:
+        """(n, dim, gdim) 𝐚₁_α = N1,α X with the nodes at X (nf, nodes, gdim)."""
+        return np.asarray(self.dN @ X[self.facet])
+
+    def normals(self, tangents: Array) -> Array:
+        """(n, gdim) outward normal × area ratio of the contactor with the given tangents."""
+        return surface_normal(tangents) * self.facets.orientation[self.facet, None]
+
+    def sum_by_facet(self, values: Array) -> Array:
+        """(nf, …) sums of (n, …) over each facet's points."""
+        total = np.zeros((self.facets.size, *values.shape[1:]))
+        if self.size:
+            starts = np.flatnonzero(np.r_[True, np.diff(self.facet) > 0])
+            total[self.facet[starts]] = np.add.reduceat(values, starts, axis=0)
+        return total
+
+    @cached_property
+    def spacing(self) -> Array:
+        """(n,) reference distance between points, roughly: the facet's area per point to the power 1/dim (m)."""
+        count = np.bincount(self.facet, minlength=self.facets.size)[self.facet]
+        area = self.sum_by_facet(self.j)[self.facet] / self.thickness
+        return np.asarray((area / count) ** (1.0 / self.facets.shape.dim))

@@ -1,0 +1,108 @@
+"""What a pair reports of its present state: forces, fractions, areas, and where."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.integration import IntegrationPoints
+from dolfinx_mortar_al.kinematics import Kinematics
+from dolfinx_mortar_al.law import OPEN, STICK, LawState
+from dolfinx_mortar_al.projection import Projection
+from dolfinx_mortar_al.targets import Target
+
+__all__ = ["PairResults"]
+
+Array = NDArray[np.float64]
+
+AT_END = 0.1  # weight of the other nodes where a point counts as at the target's end
+
+
+class PairResults:
+    """Results of a contact pair.
+
+    Attributes:
+        state: what the law says at this rank's points; kinematics: where they are.
+    """
+
+    comm: MPI.Intracomm
+    gdim: int
+    integration: IntegrationPoints
+    kinematics: Kinematics
+    target: Target
+    state: LawState
+    area: float
+    _last_points: NDArray[np.bool_]
+
+    @property
+    def j(self) -> Array:
+        """(n,) weight × reference area of this rank's integration points (m²)."""
+        return self.integration.j
+
+    @property
+    def at(self) -> Projection:
+        """What the points face."""
+        return self.kinematics.at
+
+    @property
+    def s(self) -> Array | None:
+        """(n, gdim) slip increment, eq. (5), of which the tangential part counts (m)."""
+        return self.kinematics.s
+
+    def points(self) -> Array:
+        """(n, gdim) reference positions of this rank's integration points (m)."""
+        return self.integration.interpolate(self.integration.facets.X)
+
+    def positions(self) -> Array:
+        """(n, gdim) where they are now (m)."""
+        return self.kinematics.positions()
+
+    def force(self) -> Array:
+        """(gdim,) resultant of the contact tractions on the contactor (N), collective."""
+        return np.asarray(self.comm.allreduce(self.j @ self.state.t))
+
+    def moment(self, about: Sequence[float]) -> Array:
+        """Moment of the contact tractions on the contactor about a point (N m; 3 components, or 1 in the plane),
+        collective. A rigid obstacle feels the opposite, as it does of :meth:`force`."""
+        arm, t = self.kinematics.x - np.asarray(about), self.j[:, None] * self.state.t
+        if self.gdim == 3:
+            return np.asarray(self.comm.allreduce(np.cross(arm, t).sum(axis=0)))
+        return np.atleast_1d(self.comm.allreduce(float(np.sum(arm[:, 0] * t[:, 1] - arm[:, 1] * t[:, 0]))))
+
+    def nodal_forces(self) -> float:
+        """Norm of the contactor's nodal contact forces ∫ N |t| (N), collective: the scale of both residuals."""
+        size = self.j * np.linalg.norm(self.state.t, axis=1)
+        nodal = self.integration.sum_by_facet(size[:, None] * np.abs(self.integration.N))
+        return float(np.sqrt(self.comm.allreduce(float(np.sum(nodal**2)))))
+
+    def largest_pressure(self) -> float:
+        """Largest nominal contact pressure at an integration point (Pa), collective."""
+        return float(self.comm.allreduce(float(self.state.p.max(initial=0.0)), MPI.MAX))
+
+    def contact_area(self) -> float:
+        """Current area of the closed part of the contactor (m²; length × thickness in the plane), collective."""
+        points = self.integration
+        current = np.linalg.norm(points.normals(points.tangents(self.kinematics.nodes())), axis=1)
+        area = (points.weight * points.thickness * current)[self.state.status != OPEN]
+        return float(self.comm.allreduce(float(area.sum())))
+
+    def closed_fraction(self) -> float:
+        """Closed part of the contactor's reference area, collective."""
+        return self._share(self.state.status != OPEN)
+
+    def stick_fraction(self) -> float:
+        """Sticking part of the contactor's reference area, collective."""
+        return self._share(self.state.status == STICK)
+
+    def _share(self, points: NDArray[np.bool_]) -> float:
+        return float(self.comm.allreduce(float(self.j[points].sum()))) / self.area
+
+    def reaches_end(self) -> bool:
+        """Whether a point is closed at the very end of the contactor or of the target (collective)."""
+        closed = self.state.status != OPEN
+        facets = self.target.facets[self.at.point.facet]
+        at_end = self._last_points | (np.einsum("nk,nk->n", self.at.N, self.target.end_nodes[facets]) > 1 - AT_END)
+        return bool(self.comm.allreduce(bool((closed & at_end).any()), MPI.LOR))
