@@ -25,9 +25,12 @@ SAMPLES = {1: 6, 2: 4}  # and of the contactor
 
 
 class Model:
-    """The problem of a scene, `set_load(stage)` for each stage's march, and checks of its state."""
+    """The problem of a scene, `set_load(stage)` for each stage's march, and checks of its state.
 
-    def __init__(self, scene: Scene) -> None:
+    `other_ε`: with augmentation parameters of the softer E over a length of 0.1 m instead of the package's own.
+    """
+
+    def __init__(self, scene: Scene, other_ε: bool = False) -> None:
         self.scene = scene
         self.mesh, self.cell_tags, self.facet_tags = create(scene)
         V = fem.functionspace(self.mesh, ("Lagrange", scene.order, (scene.dim,)))
@@ -38,7 +41,8 @@ class Model:
         self._bulk = fem.form(F)
         sides = [Surface(self.mesh, *self._surface(body)) for body in (UPPER, LOWER)]
         contactor, target = reversed(sides) if scene.swap else sides
-        contacts = [Contact(contactor, target, friction=scene.friction)]
+        ε = 10 * min(scene.lower.E, scene.upper.E) * (scene.lower.size[1] if self.is_membrane else 1.0) if other_ε else None
+        contacts = [Contact(contactor, target, friction=scene.friction, epsilon_normal=ε, epsilon_tangential=ε)]
         self.problem = ContactProblem(F, self.u, bcs=self._conditions(), contacts=contacts)
         self.pair = self.problem.pairs[0]
 

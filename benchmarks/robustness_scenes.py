@@ -58,6 +58,11 @@ class Body:
     profile: tuple[Any, ...] = ("flat",)
     centre: float = 0.0
 
+    def __post_init__(self) -> None:
+        faces = (*self.contact, *self.held, *self.loaded)
+        if len(set(faces)) < len(faces):
+            raise ValueError(f"faces {faces}: a face is touched, held or loaded")
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -290,8 +295,9 @@ def _weight(
         stages.append(Stage("tilt", n[1], (0.0, 0.0), load=tilted))
     else:
         stages.append(Stage("push", n[1], (way, 0.0), load=tilted, slide=slide))
-    pushed = replace(bodies["upper"], held=("left",))
-    return {"upper": pushed, "gap": 0.0, "stages": tuple(stages), "load": "weight", "held": "not" if free else "x"}
+    touched = tuple(face for face in bodies["upper"].contact if face != "left")
+    block = replace(bodies["upper"], contact=touched, held=() if free else ("left",))
+    return {"upper": block, "gap": 0.0, "stages": tuple(stages), "load": "weight", "held": "not" if free else "x"}
 
 
 def _beams(dice: _Dice, common: dict[str, Any]) -> dict[str, Any]:
@@ -321,7 +327,7 @@ def _membranes(dice: _Dice, common: dict[str, Any]) -> dict[str, Any]:
     apart = dice.chance()
     if apart:
         lower["E"], shift, height = upper["E"], dice.uniform(0.5, 1.0), 1.0
-        pressure = dice.uniform(0.8, 0.98) * MEMBRANE_PRESSURE * upper["E"]
+        pressure = dice.uniform(0.75, 0.92) * MEMBRANE_PRESSURE * upper["E"]
     else:  # both rise as circular arcs until they meet; the pressure then goes on a little
         E, rise = min(lower["E"], upper["E"]), dice.uniform(0.25, 0.5)
         pressure = _arc_pressure(rise) * E
