@@ -65,10 +65,19 @@ def _disc(gmsh: Any, x: float, around: int, simplices: bool, tag: int) -> dict[s
     model.occ.remove([(0, centre)])
     model.occ.synchronize()
     for arc in arcs.values():
-        model.mesh.setTransfiniteCurve(arc, max(2, round(around / 3)) + 1)
+        model.mesh.setTransfiniteCurve(arc, 2 * max(1, round(around / 6)) + 1)  # even: full-quad halves it
+    rim = math.pi / around
+    inside = max(rim, min(0.15, 4 * rim))  # elements grow by a quarter of the way
+    layer, field = min(0.45, 4 * (inside - rim)), model.mesh.field.add("Ball")
+    sizes = {"VIn": inside, "VOut": rim, "Radius": 0.5 - layer, "Thickness": layer, "XCenter": x + 0.5, "YCenter": 0.5}
+    for name, value in sizes.items():
+        model.mesh.field.setNumber(field, name, value)
+    model.mesh.field.setAsBackgroundMesh(field)
+    gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
     if not simplices:
         model.mesh.setRecombine(2, surface)
         gmsh.option.setNumber("Mesh.RecombinationAlgorithm", 3)  # the one that leaves no triangle
+        gmsh.option.setNumber("General.Verbosity", 1)  # it warns of the slab, which comes out as it should
     model.addPhysicalGroup(2, [surface], tag)
     return arcs
 
