@@ -4,7 +4,7 @@
 
 Mesh, materials, contactor, friction and increments are the scene's (`robustness.py --peer` writes both files). Contact is
 GetFEM's large-sliding brick with ray tracing and a continuous vector multiplier of order 1, with the settings it converges
-best with: augmentation 0.1 E/h of the softer body's E and the contactor's mean facet h, Newton without line search, contact
+best with: augmentation 0.01 E/h of the softer body's E and the contactor's mean facet h, Newton without line search, contact
 integrated with degree 8. Increments are not cut: a step that does not converge ends the run.
 
 Standard output gets one line of JSON with what `robustness.py` records, standard error one line per step.
@@ -23,7 +23,7 @@ import numpy as np
 from robustness_scenes import CONTACT, HELD, LOWER, UPPER, Scene, from_json, motion
 from scipy.spatial import cKDTree
 
-AUGMENTATION = 0.1  # times E/h
+AUGMENTATION = 0.01  # times E/h; of 26 scenes 4 fail with it, 7 with 0.1, 5 with 0.001
 CONTACT_DEGREE = 8
 # all stresses are multiples of the softer body's E: GetFEM's residual test is absolute
 SOLVER = ("max_iter", 60, "max_res", 1e-9, "lsolver", "mumps")
@@ -42,8 +42,8 @@ def body_mesh(scene: Scene, data: Any, body: int) -> Any:
     mesh, x = gf.Mesh("empty", 2), data["x"]
     for cell in data[f"cells_{body}"]:
         mesh.add_convex(gf.GeoTrans(f"GT_{kind}(2,{order})"), x[cell[ORDER[kind, order]]].T)
-    near = cKDTree(x[np.unique(data[f"cells_{body}"])])
-    number = np.unique(data[f"cells_{body}"])[near.query(mesh.pts().T)[1]]  # of GetFEM's points among the nodes
+    mine = np.unique(data[f"cells_{body}"])
+    number = mine[cKDTree(x[mine]).query(mesh.pts().T)[1]]  # of GetFEM's points among the nodes
     faces = mesh.outer_faces()
     nodes = [set(number[mesh.pid_in_faces(face[:, None])]) for face in faces.T]
     for region in (CONTACT, HELD):
@@ -53,8 +53,8 @@ def body_mesh(scene: Scene, data: Any, body: int) -> Any:
 
 
 def build(scene: Scene, data: Any) -> tuple[Any, Any, tuple[Any, ...]]:
-    """The model; its displacement space of the upper body; what gives the contact force, and all that Python has to keep,
-    as GetFEM frees what Python drops."""
+    """The model; the displacement space of the upper body; a function that gives the contact force, and all that Python
+    has to keep, as GetFEM frees what Python drops."""
     model, order, kind = gf.Model("real"), scene.order, "PK" if scene.simplices else "QK"
     unit = min(scene.lower.E, scene.upper.E)
     meshes = {body: body_mesh(scene, data, body) for body in (LOWER, UPPER)}
@@ -93,7 +93,9 @@ def build(scene: Scene, data: Any) -> tuple[Any, Any, tuple[Any, ...]]:
     model.add_slave_contact_boundary_to_large_sliding_contact_brick(
         brick, rule, CONTACT, f"u_{contactor}", "multiplier", *old[0]
     )
-    model.add_master_contact_boundary_to_large_sliding_contact_brick(brick, rules[target], CONTACT, f"u_{target}", *old[1])
+    model.add_master_contact_boundary_to_large_sliding_contact_brick(
+        brick, rules[target], CONTACT, f"u_{target}", *old[1]
+    )
 
     def force() -> list[float]:
         """On the contactor, from its multiplier (N)."""

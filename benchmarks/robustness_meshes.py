@@ -77,7 +77,7 @@ def _disc(gmsh: Any, x: float, around: int, simplices: bool, tag: int) -> dict[s
     if not simplices:
         model.mesh.setRecombine(2, surface)
         gmsh.option.setNumber("Mesh.RecombinationAlgorithm", 3)  # the one that leaves no triangle
-        gmsh.option.setNumber("General.Verbosity", 1)  # it warns of the slab, which comes out as it should
+        gmsh.option.setNumber("General.Terminal", 0)  # it warns of the slab, which comes out as it should
     model.addPhysicalGroup(2, [surface], tag)
     return arcs
 
@@ -99,7 +99,9 @@ def create(scene: Scene) -> tuple[Any, Any, Any]:
                 box = structured_box(gmsh, [x, 0, 0], [1.0] * d, body.cells, scene.simplices, tag)
                 centre = np.array([gmsh.model.occ.getCenterOfMass(d - 1, face)[:d] for face in box]) - np.eye(d)[0] * x
                 ends = (("left", "right"), ("bottom", "top"), ("back", "front"))[:d]
-                faces = {end: box[np.argmin(np.abs(centre[:, i] - k))] for i, e in enumerate(ends) for k, end in enumerate(e)}
+                faces = {
+                    end: box[np.argmin(np.abs(centre[:, i] - k))] for i, e in enumerate(ends) for k, end in enumerate(e)
+                }
             for kind, names in ((CONTACT, body.contact), (HELD, body.held), (LOADED, body.loaded)):
                 if names:
                     gmsh.model.addPhysicalGroup(d - 1, [faces[name] for name in names], 10 * tag + kind)

@@ -41,7 +41,11 @@ class Model:
         self._bulk = fem.form(F)
         sides = [Surface(self.mesh, *self._surface(body)) for body in (UPPER, LOWER)]
         contactor, target = reversed(sides) if scene.swap else sides
-        ε = 10 * min(scene.lower.E, scene.upper.E) * (scene.lower.size[1] if self.is_membrane else 1.0) if other_ε else None
+        ε = (
+            10 * min(scene.lower.E, scene.upper.E) * (scene.lower.size[1] if self.is_membrane else 1.0)
+            if other_ε
+            else None
+        )
         contacts = [Contact(contactor, target, friction=scene.friction, epsilon_normal=ε, epsilon_tangential=ε)]
         self.problem = ContactProblem(F, self.u, bcs=self._conditions(), contacts=contacts)
         self.pair = self.problem.pairs[0]

@@ -7,7 +7,7 @@ log-uniformly) over ranges that are wide and yet leave a solution to be found: t
 membranes stay where an answer is known to exist. Bodies are held by Dirichlet conditions, but for the inclined block under
 its own weight, which contact alone holds along the normal and in half of its frictional scenes altogether.
 
-In space, meshes have 1 to 8 facets along the contact and stages 2 to 20 increments, so that a scene takes seconds.
+In space, meshes have 1 to 12 facets along the contact and stages 2 to 20 increments, so that a scene takes seconds.
 """
 
 from __future__ import annotations
@@ -135,13 +135,11 @@ def motion(scene: Scene, stage: int, t: float, X: Array) -> tuple[Array, Array]:
     """Displacement (m) of the upper body's held points X (n, dim), and the load, at t ∈ [0, 1] of a stage."""
     start = scene.stages[stage - 1] if stage else Stage("start", 1, (0.0,) * scene.dim)
     end = scene.stages[stage]
-    move, turn, load = ((1 - t) * np.array(getattr(start, k)) + t * np.array(getattr(end, k)) for k in MOVES)
+    reached = ((getattr(start, k), getattr(end, k)) for k in ("move", "turn", "load"))
+    move, turn, load = ((1 - t) * np.array(a) + t * np.array(b) for a, b in reached)
     radius = scene.upper.size[0] if scene.upper.shape in ("arc", "disc") else 0.0
     centre = turned(scene.incline, np.array([[0.0, radius + scene.gap, 0.0][: scene.dim]]))
     return turned(float(turn), X - centre) + centre - X + turned(scene.incline, move[None]), load
-
-
-MOVES = ("move", "turn", "load")
 
 
 # ---------------------------------------------------------------- drawing
@@ -189,10 +187,12 @@ def _gap(dice: _Dice, facets: tuple[float, float], depth: float) -> float:
     return float(dice.one_of(dice.uniform(0.02, 0.5) * min(facets), 0.0, -overlap))
 
 
-def _facets(dice: _Dice, finest: float, coarsest: float) -> tuple[float, float]:
-    """Lengths of the lower and the upper body's facets (m), their ratio between 1:8 and 8:1."""
+def _facets(dice: _Dice, finest: float, coarsest: float, dim: int = 2) -> tuple[float, float]:
+    """Lengths of the lower and the upper body's facets (m), their ratio between 1:8 and 8:1; in space, the one side may be
+    the finer the coarser the other."""
     ratio = dice.ratio(1 / 8, 8)
     wide = max(ratio, 1 / ratio)
+    finest /= wide ** (1 / 3) if dim == 3 else 1.0
     fine = dice.ratio(finest, max(finest, min(coarsest / wide, 4 * finest)))
     return (fine * wide, fine) if ratio < 1 else (fine, fine * wide)
 
@@ -236,7 +236,7 @@ def _upper(dice: _Dice, family: str, h: float, dim: int) -> tuple[dict[str, Any]
         fields |= {"profile": curved, "contact": ("bottom",)}
     elif round_edge:
         fields |= {"profile": ("round", dice.uniform(0.1, 0.4) * min(width, height)), "contact": ("bottom",)}
-    across = max(1 if dim == 3 else 2, min(4, round(height / h)))
+    across = max(1, min(2, round(height / h))) if dim == 3 else max(2, min(4, round(height / h)))
     along = max(1 if dim == 3 else 2, round(width / h))
     fields |= {"size": (width, height, width)[:dim], "cells": (along, across, along)[:dim]}
     return fields, width, height, not (curved or round_edge)
@@ -247,7 +247,8 @@ def _on_slab(dice: _Dice, common: dict[str, Any]) -> dict[str, Any]:
     family, dim, order = (common[k] for k in ("family", "dim", "order"))
     lower, upper, share = _bodies(dice)
     rounded = family in ("half ring", "roller")
-    h = _facets(dice, *((1 / 8, 1.0) if dim == 3 else (1 / 40 if order == 1 else 1 / 24, 0.3 if rounded else 0.5)))
+    finest = {(2, 1): 1 / 40, (2, 2): 1 / 24, (3, 1): 1 / 8, (3, 2): 1 / 4}[dim, order]
+    h = _facets(dice, finest, 1.0 if dim == 3 else 0.3 if rounded else 0.5, dim)
     shape, width, height, sharp = _upper(dice, family, h[1], dim)
     thick, margin = dice.uniform(0.4, 1.0), 0.4 * width if dim == 2 else 0.2 * width
     wave = dice.chance() and dim == 2 and family != "inclined block"
@@ -265,7 +266,13 @@ def _on_slab(dice: _Dice, common: dict[str, Any]) -> dict[str, Any]:
     wavy = ("wave", dice.uniform(0.1, 0.4) * depth, max(dice.uniform(0.8, 2.0), 6 * h[0])) if wave else ("flat",)
     if dim == 3 and dice.chance():
         wavy = ("parabola", dice.uniform(0.02, 0.1))
-    slab = {"shape": "block", "size": (length, thick, deep)[:dim], "cells": cells, "contact": ("top",), "held": ("bottom",)}
+    slab = {
+        "shape": "block",
+        "size": (length, thick, deep)[:dim],
+        "cells": cells,
+        "contact": ("top",),
+        "held": ("bottom",),
+    }
     bodies = {"lower": Body(**lower, **slab, profile=wavy, centre=way / 2), "upper": Body(**upper, **shape)}
     if family == "inclined block" and dice.chance():
         return bodies | _weight(dice, common["friction"], bodies, height, (press, drag), way, slide)
