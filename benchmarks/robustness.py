@@ -5,9 +5,10 @@
 
 Each scene runs in a process of its own; results go to results/robustness/seed-N.jsonl, and what is there is not run again.
 
-- right: it went through, its contact forces at the end of each stage agree with runs of twice (and, where these differ, four
-  times) as many increments within 2 % of the largest force, and three times what first-order convergence in the increments
-  explains; no point of the contactor is deeper in the target than a quarter of a facet; contact force and reaction balance.
+- right: it went through. Its contact forces at the end of each stage agree with runs of twice (and, where these differ, four
+  times) as many increments within 2 % of the largest force and three times what first-order convergence in the increments
+  explains. No point of the contactor is deeper in the target than a quarter of a facet (a fiftieth, without a contact
+  force); contact force and reaction balance.
 - right with rejections: the same, some steps after a cut of the increment. Unverified: the finer runs did not go through.
 - right (coarse): with friction the answer of a few long increments may be far off that of many. Where forces disagree in such
   a scene, it is run again with another ε, on which the answer of the same increments must not depend.
@@ -39,6 +40,7 @@ from robustness_scenes import FAMILIES, PLANE, Scene, draw
 REASONS = ("unstable", "inverted cell", "limit point")  # in the message of a StepFailure that counts as refused
 AGREE = 0.02  # of the largest force
 DEEPEST = 0.25  # of a facet
+UNFELT = 0.02  # of a facet, without a contact force
 BALANCE = 1e-5  # of the contact force
 COARSE = (8, 1.0)  # fewer increments in a stage, or more facets of sliding in one, may be far from their limit
 VERDICTS = ("right", "right with rejections", "right (coarse)", "right (unverified)", "refused", "failed", "wrong")
@@ -88,6 +90,8 @@ def judge(scene: Scene, run: dict[str, Any], again: Callable[..., dict[str, Any]
         return "failed", run["error"]
     if run["penetration"] > DEEPEST:
         return "wrong", f"a point of the contactor is {run['penetration']:.2g} facets inside the target"
+    if np.linalg.norm(run["forces"][-1]) < run["floor"] and run["penetration"] > UNFELT:
+        return "wrong", f"no contact force where the bodies overlap by {run['penetration']:.2g} facets"
     if run["balance"] is not None and run["balance"] > BALANCE:
         return "wrong", f"contact force and internal forces differ by {run['balance']:.1e} of the force"
     right = "right with rejections" if any(rejected for _, rejected, _ in run["steps"]) else "right"

@@ -14,6 +14,7 @@ from dolfinx import mesh
 from mpi4py import MPI
 from numpy.typing import NDArray
 from robustness_scenes import CONTACT, HELD, LOADED, LOWER, UPPER, Body, Scene, turned
+from scipy.interpolate import LinearNDInterpolator
 
 from meshes.gmsh_session import distribute, structured_box
 from meshes.two_membranes import TwoMembranes
@@ -28,6 +29,8 @@ def _recess(body: Body, x: Array) -> Array:
     kind, *sizes = body.profile
     if kind == "parabola":
         return sizes[0] * (x**2).sum(axis=1) / 2
+    if kind == "barrel":
+        return sizes[0] * x[:, -1] ** 2 / 2
     if kind == "wave":
         return sizes[0] * (1 - np.cos(2 * np.pi * x[:, 0] / sizes[1]))
     if kind == "round":  # an eighth of a circle, so that the corner's cell keeps its shape
@@ -119,7 +122,7 @@ def create(scene: Scene) -> tuple[Any, Any, Any]:
     for tag in bodies:
         nodes = mesh.entities_to_geometry(domain, d - 1, facet_tags.find(10 * tag + CONTACT))
         touching.append(x[np.unique(nodes), :d])
-    x[upper, 1] += scene.gap - (_clearance(*touching) if d == 2 else _clearance_of_blocks(scene, *touching))
+    x[upper, 1] += scene.gap - (_clearance if d == 2 else _clearance_in_space)(*touching)
     x[:, :d] = turned(scene.incline, x[:, :d])
     return domain, cell_tags, facet_tags
 
@@ -139,8 +142,10 @@ def _clearance(lower: Array, upper: Array) -> float:
     return float(min(heights))
 
 
-def _clearance_of_blocks(scene: Scene, lower: Array, upper: Array) -> float:
-    """Least vertical distance in space: of each block's nodes from the other's smooth face (m)."""
-    above = upper[:, 1] + _recess(scene.lower, upper[:, [0, 2]] - [scene.lower.centre, 0])
-    below = lower[np.abs(lower[:, [0, 2]]).max(axis=1) <= scene.upper.size[0] / 2]
-    return float(min(above.min(), (_recess(scene.upper, below[:, [0, 2]]) - below[:, 1]).min(initial=np.inf)))
+def _clearance_in_space(lower: Array, upper: Array) -> float:
+    """The same of two surfaces that are functions of x and z."""
+    heights = [np.inf]
+    for mine, other, sign in ((upper, lower, 1), (lower, upper, -1)):
+        there = LinearNDInterpolator(other[:, [0, 2]], other[:, 1])(mine[:, [0, 2]])
+        heights.append(np.nanmin(sign * (mine[:, 1] - there), initial=np.inf))
+    return float(min(heights))

@@ -42,7 +42,8 @@ class Body:
 
     `shape`: "block" (width, height[, depth]), "arc" (outer and inner radius, angle in rad, its lowest point touching), "disc"
     (radius) or "line" (a membrane: length, thickness). A block's contact face recedes from y = 0 by its `profile`: flat,
-    ("parabola", curvature), ("round", radius of the corners) or ("wave", amplitude, length); its middle is at x = `centre`.
+    ("parabola", curvature), ("barrel", curvature across x), ("round", radius of the corners) or ("wave", amplitude, length);
+    its middle is at x = `centre`.
     `cells` count along x, y[, z]; a disc's, around. Faces are named left, right, bottom, top, front, back.
     """
 
@@ -210,7 +211,7 @@ def draw(seed: int, number: int) -> Scene:
     return Scene(**common | rest(dice, common))
 
 
-def _upper(dice: _Dice, family: str, h: float, dim: int) -> tuple[dict[str, Any], float, float, bool]:
+def _upper(dice: _Dice, family: str, h: float, dim: int, order: int) -> tuple[dict[str, Any], float, float, bool]:
     """Shape of a body that is pressed on a slab with facets of length h: (its fields, width, height, has a sharp edge)."""
     sides = dice.one_of(("bottom",), ("bottom", "left", "right"))
     fields: dict[str, Any] = {"shape": "block", "contact": sides, "held": ("top",)}
@@ -237,7 +238,7 @@ def _upper(dice: _Dice, family: str, h: float, dim: int) -> tuple[dict[str, Any]
     elif round_edge:
         fields |= {"profile": ("round", dice.uniform(0.1, 0.4) * min(width, height)), "contact": ("bottom",)}
     across = max(1, min(2, round(height / h))) if dim == 3 else max(2, min(4, round(height / h)))
-    along = max(1 if dim == 3 else 2, round(width / h))
+    along = max(3 - order if dim == 3 else 2, round(width / h))  # one facet is curved only where it is of second order
     fields |= {"size": (width, height, width)[:dim], "cells": (along, across, along)[:dim]}
     return fields, width, height, not (curved or round_edge)
 
@@ -249,7 +250,7 @@ def _on_slab(dice: _Dice, common: dict[str, Any]) -> dict[str, Any]:
     rounded = family in ("half ring", "roller")
     finest = {(2, 1): 1 / 40, (2, 2): 1 / 24, (3, 1): 1 / 8, (3, 2): 1 / 4}[dim, order]
     h = _facets(dice, finest, 1.0 if dim == 3 else 0.3 if rounded else 0.5, dim)
-    shape, width, height, sharp = _upper(dice, family, h[1], dim)
+    shape, width, height, sharp = _upper(dice, family, h[1], dim, order)
     thick, margin = dice.uniform(0.4, 1.0), 0.4 * width if dim == 2 else 0.2 * width
     wave = dice.chance() and dim == 2 and family != "inclined block"
     depth = dice.uniform(0.2, 1.0) * share * (0.5 if sharp else 1.0) * min(thick, height) / (1.8 if wave else 1.0)
@@ -265,7 +266,7 @@ def _on_slab(dice: _Dice, common: dict[str, Any]) -> dict[str, Any]:
     cells = (max(2, round(length / h[0])), layers, max(2, round(deep / h[0])))[:dim]
     wavy = ("wave", dice.uniform(0.1, 0.4) * depth, max(dice.uniform(0.8, 2.0), 6 * h[0])) if wave else ("flat",)
     if dim == 3 and dice.chance():
-        wavy = ("parabola", dice.uniform(0.02, 0.1))
+        wavy = ("barrel", dice.uniform(0.05, 0.3))
     slab = {
         "shape": "block",
         "size": (length, thick, deep)[:dim],
@@ -285,7 +286,8 @@ def _on_slab(dice: _Dice, common: dict[str, Any]) -> dict[str, Any]:
         Stage("drag", drag, (way, down, side)[:dim], turn=turn, slide=slide),
     )
     incline = dice.uniform(-0.8, 0.8) if family == "inclined block" else 0.0
-    return bodies | {"gap": gap, "stages": stages, "incline": incline}
+    curved = {"geometry_order": order} if dim == 3 and shape["cells"][0] == 1 else {}
+    return bodies | curved | {"gap": gap, "stages": stages, "incline": incline}
 
 
 def _weight(
