@@ -73,7 +73,8 @@ def simulate(args: argparse.Namespace, spin: str, directory: Path) -> tuple:
     u = fem.Function(fem.functionspace(mesh, ("Lagrange", args.order, (2,))))
     motion = dynamics.Motion(u, law, density=DENSITY, step=args.step or Δt, thickness=THICKNESS)
     motion.velocity.interpolate(lambda X: np.stack([V - ω * (X[1] - height), -V + ω * X[0]]))
-    contact = Contact(Surface(mesh, tags, RIM), obstacles.RigidPlane([0, 0], [0, 1]), friction=MU, thickness=THICKNESS)
+    rim, plane = Surface(mesh, tags, RIM), obstacles.RigidPlane([0, 0], [0, 1])
+    contact = Contact(rim, plane, friction=MU, thickness=THICKNESS, multiplier_order=args.order)  # the paper's orders
     watch = [monitors.inversion(u), *([monitors.ellipticity(law, u)] if args.case == "printed" else [])]
     problem = ContactProblem(motion.residual, u, contacts=[contact], monitors=watch)
     ρ, x = DENSITY * THICKNESS, ufl.SpatialCoordinate(mesh) + motion.old

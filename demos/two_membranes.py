@@ -72,7 +72,7 @@ def simulate(args: argparse.Namespace, case: tuple[float, float, float], directo
 
     sides = [Surface(mesh, cell_tags, UPPER, side=down), Surface(mesh, cell_tags, LOWER, side=up)]
     contactor, target = reversed(sides) if args.swap else sides
-    contact = Contact(contactor, target, friction=friction)
+    contact = Contact(contactor, target, friction=friction, multiplier_order=args.order)  # the paper's equal orders
     problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], monitors=[monitors.wrinkling(sheet, u)])
     pair = problem.pairs[0]
 

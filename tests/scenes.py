@@ -142,8 +142,8 @@ def membranes(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, contact=True, swap=
     bcs = [fem.dirichletbc(np.zeros(d), fem.locate_dofs_topological(V, d - 2, edges.find(EDGE)), V)]
     sides = [Surface(domain, cells, UPPER, side=-up), Surface(domain, cells, LOWER, side=up)]
     contactor, target = reversed(sides) if swap else sides
-    ε = {"epsilon_normal": epsilon_normal, "epsilon_tangential": epsilon_tangential}
-    contacts = [Contact(contactor, target, friction=friction, **ε)] if contact else []
+    options = {"epsilon_normal": epsilon_normal, "epsilon_tangential": epsilon_tangential, "multiplier_order": order}
+    contacts = [Contact(contactor, target, friction=friction, **options)] if contact else []
     problem = ContactProblem(F, u, bcs=bcs, contacts=contacts)
     problem.lower = cells.find(LOWER)
     return problem, p

@@ -55,7 +55,8 @@ def fly(*, velocity=(V, -V), spin=0.0, friction=0.3, gap=0.0, to=0.045, step=1e-
     vx, vy = velocity
     motion.velocity.interpolate(lambda X: np.stack([vx - spin * (X[1] - R - gap), vy + spin * X[0]]))
     plane = obstacles.RigidPlane([0.0, 0.0], [0.0, 1.0])
-    contact = Contact(Surface(mesh, tags, RIM), plane, friction=friction, thickness=THICKNESS)
+    options = {"friction": friction, "thickness": THICKNESS, "multiplier_order": 2}
+    contact = Contact(Surface(mesh, tags, RIM), plane, **options)
     problem = ContactProblem(motion.residual, u, contacts=[contact])
     before, energy = motion.momenta(), sum(motion.energies())
     move = None if belt is None else (lambda t: plane.move(t * np.asarray(belt)))
