@@ -21,6 +21,7 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, matrix_with_pattern
+from dolfinx_mortar_al.pieces import Piece, floating_pieces
 
 __all__ = ["Bodies", "Body"]
 
@@ -40,6 +41,8 @@ class Body:
         self.bcs = list(bcs)
         self.F, self.J = fem.form(F), fem.form(ufl.derivative(F, u) if jacobian is None else jacobian)
         self._inverted = fem.form(self._inversion_indicator())
+        #: pieces that nothing but contact holds, as found with the start state's stiffness
+        self.floating: list[Piece] = []
         self._tension: Any = None  # few problems need it
         self._residual = dolfinx_petsc.create_vector(self.F)
 
@@ -248,6 +251,7 @@ class Bodies:
         diagonals, indptr, indices = [], [np.zeros(1, dtype=np.int64)], []
         for k, body in enumerate(self.bodies):
             A = body.stiffness()
+            body.floating = floating_pieces(body.space, body.prescribed(), A)
             diagonal = fem.Function(body.space)
             A.getDiagonal(diagonal.x.petsc_vec)
             diagonal.x.scatter_forward()
@@ -274,10 +278,27 @@ class Bodies:
         A.assemble()
         return A
 
+    def owned_positions(self) -> Array:
+        """(owned nodes, gdim) reference positions of this rank's nodes in the common numbering (m)."""
+        return np.concatenate([b.space.tabulate_dof_coordinates()[: b.owned, : self.gdim] for b in self.bodies])
+
     def reference_positions(self) -> Array:
-        """(all nodes, gdim) reference positions in the common numbering, on every rank (m)."""
-        owned = [body.space.tabulate_dof_coordinates()[: body.owned, : self.gdim] for body in self.bodies]
-        return np.concatenate(self.comm.allgather(np.concatenate(owned)))
+        """(all nodes, gdim) the same of all ranks, on every rank (m)."""
+        return np.concatenate(self.comm.allgather(self.owned_positions()))
+
+    def springs(self, diagonals: Sequence[fem.Function]) -> PETSc.Vec | None:
+        """Weak springs on the floating pieces, in shares of the diagonals (N/m) of the bodies' matrices; None if no piece
+        floats (collective)."""
+        if not any(body.floating for body in self.bodies):
+            return None
+        k = self.layout.vector()
+        for body, diagonal, part in zip(self.bodies, diagonals, self._slices, strict=True):
+            floats = np.zeros(len(diagonal.x.array) // self.gdim, dtype=bool)
+            for piece in body.floating:
+                floats[piece.nodes] = True
+            floating = np.repeat(floats, self.gdim) & (body.prescribed().x.array == 0)
+            k.array[part] = (diagonal.x.array * floating)[: part.stop - part.start]
+        return k
 
     def tension(self, pattern: tuple[Index, Index], stiffness: Sequence[float]) -> PETSc.Mat:
         """What fictitious tensions add to the stiffness, scaled to have the trace `stiffness` (N/m) for each body."""

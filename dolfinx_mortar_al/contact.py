@@ -154,7 +154,8 @@ class ContactPair(PairResults):
         return near
 
     def _redundant(self, fixed: Bool) -> Bool:
-        """(nf, nodes, components) nodes where the displacement is prescribed on the contactor and on the target."""
+        """(nf, nodes, components) where the relative displacement is prescribed, so that the multiplier has nothing to
+        enforce: on the contactor and, if the target is deformable and faced nearby, on the target too."""
         fixed = fixed.copy()
         facet, node = np.nonzero(fixed.any(axis=2))
         if isinstance(self.target, DeformableTarget) and len(facet):

@@ -25,7 +25,8 @@ __all__ = ["Finding", "ModelWarning", "Monitor", "Reporter", "ellipticity", "inv
 
 @dataclass(frozen=True)
 class Finding:
-    """The least value of a monitored quantity, below its bound; where (reference position, m); what it means."""
+    """The least value of a monitored quantity, below its bound; where (reference position, m; empty if nowhere in particular);
+    what it means."""
 
     name: str
     value: float
@@ -34,8 +35,8 @@ class Finding:
     fatal: bool
 
     def __str__(self) -> str:
-        place = ", ".join(f"{x:.4g}" for x in self.X)
-        return f"{self.name} = {self.value:.4g} at X = ({place}): {self.meaning}"
+        place = f" at X = ({', '.join(f'{x:.4g}' for x in self.X)})" if self.X else ""
+        return f"{self.name} = {self.value:.4g}{place}: {self.meaning}"
 
 
 class ModelWarning(UserWarning):

@@ -28,6 +28,8 @@ LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, as a share of the largest p
 LONGEST = 1.0  # target facets that a closed point may move over the target in one iteration
 EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
 ROUND_OFF = 100.0  # multiples of the tolerance in which a residual that stands still counts as round-off
+SPRING = 1e-8  # of pieces that contact alone holds, as a share of their stiffness, times the relative residual
+LEAST_SPRING = 1e-13  # what is left of it where a motion stays free, such as sliding without friction
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
 MAX_FREEZES = 20  # times that friction bounds are brought up to date in a solve
 BOUND_TOLERANCE = 1e-6  # on a frozen friction bound, as a share of the largest μp
@@ -42,6 +44,13 @@ class NewtonResult:
     iterations: int = 0
     message: str = ""
     norms: list[list[float]] = field(default_factory=list)
+    #: of the Jacobian's determinant in each iteration, where MUMPS solves
+    signs: list[float] = field(default_factory=list)
+
+    @property
+    def unstable(self) -> bool:
+        """Whether the last Jacobian's determinant is negative: a direction without resistance."""
+        return bool(self.signs) and self.signs[-1] < 0
 
 
 class Load:
@@ -126,7 +135,8 @@ class NewtonSolver:
         ksp.getPC().setFactorSolverType("mumps")
         # Full steps, guarded: with changes of contact state the norm of the residual says little about progress.
         # MUMPS: the blocks are scaled already (8: 0); minimum fill is the quickest analysis of plane problems (7: 2).
-        defaults = {"snes_linesearch_type": "basic", "mat_mumps_icntl_8": 0}
+        # 33: 1 gives the determinant, whose sign tells stable equilibria from unstable ones.
+        defaults = {"snes_linesearch_type": "basic", "mat_mumps_icntl_8": 0, "mat_mumps_icntl_33": 1}
         defaults |= {"mat_mumps_icntl_7": 2} if problem.gdim == 2 else {}
         _read_command_line(prefix)
         options = PETSc.Options(prefix)
@@ -163,16 +173,16 @@ class NewtonSolver:
         if reason > 0:
             p.unpack(p.x)
             if p.inverted_volume() > 0:
-                self.result.converged, self.result.message = False, "det F ≤ 0 in the converged state"
-        elif not self.result.message:
-            self.result.message = self._failure(reason)
+                self.result.converged, self.result.message = False, "an inverted cell (det F ≤ 0) in the converged state"
+        else:
+            self.result.message = (self.result.message or self._failure(reason)) + self._advice()
         return self._singular() if reason == _Reason.DIVERGED_LINEAR_SOLVE else self.result
 
     def _singular(self) -> NewtonResult:
         """A failed solve after which MUMPS' object cannot be used again; the next one has a fictitious tension's help."""
         self.snes = self._create()
         self.problem.limp = True
-        self.result.message = "the Jacobian is singular: some displacement meets no stiffness"
+        self.result.message = "the Jacobian is singular: some displacement meets no stiffness" + self._advice()
         return self.result
 
     # ---------------------------------------------------------------- callbacks
@@ -182,6 +192,8 @@ class NewtonSolver:
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         self.problem.tension = self._fictitious_tension()
+        norms = self.result.norms
+        self.problem.spring_share = SPRING * max(min(1.0, max(norms[-1]) / max(*norms[0], 1e-300)), LEAST_SPRING / SPRING)
         self.problem.assemble_jacobian()
         if self.problem.matrix.handle != A.handle:  # a new pattern
             snes.setJacobian(self._jacobian, self.problem.matrix)
@@ -279,12 +291,15 @@ class NewtonSolver:
         """Shorten the step x ← x − y until no cell is inverted and no closed point slides too far."""
         p = self.problem
         p.stopwatch.add("linear solve", perf_counter() - self._linear_start)
+        self._note_stability()
         change = self._change_load(x, y) if self._path is not None else 0.0
         length = self._damping
         with p.stopwatch("guard"):
             xu, yu = x.getNestSubVecs()[0], y.getNestSubVecs()[0]
             p.bodies.set(xu.array_r - length * yu.array_r)
             motion = max([pair.relative_motion() for pair in p.pairs], default=0.0)
+            if p.unsupported():  # a piece in free flight must not fly through its target
+                motion = max(motion, p.longest_motion(yu.array_r) * length)
             if motion > LONGEST:
                 length *= LONGEST / motion
                 p.bodies.set(xu.array_r - length * yu.array_r)
@@ -298,6 +313,12 @@ class NewtonSolver:
         if length < 1.0:
             y.scale(length)
         return length < 1.0 or self._path is not None
+
+    def _note_stability(self) -> None:
+        """Remember the sign of the Jacobian's determinant, as MUMPS has it: positive at a stable equilibrium."""
+        pc = self.snes.getKSP().getPC()
+        if pc.getType() == "lu" and pc.getFactorSolverType() == "mumps":
+            self.result.signs.append(float(np.sign(pc.getFactorMatrix().getMumpsRinfog(12))))
 
     def _change_load(self, x: PETSc.Vec, y: PETSc.Vec) -> float:
         """The change of load that keeps the step x ← x − y on the path's plane; y is changed with it.
@@ -323,10 +344,37 @@ class NewtonSolver:
         return -dy / dz
 
     def _failure(self, reason: int) -> str:
+        """Why a solve failed: which blocks, where, and what to do."""
         if not self.result.norms:
             return "the residual is not a number at the start: a cell is inverted, or a law or load has no value there"
         names, last = ["equilibrium", *(pair.name for pair in self.problem.pairs)], self.result.norms[-1]
         open_blocks = ", ".join(f"{n} at {v:.1e} of its tolerance" for n, v in zip(names, last, strict=True) if v > 1)
         known = {_Reason.DIVERGED_MAX_IT: "no convergence", _Reason.DIVERGED_LINEAR_SOLVE: "the linear solve failed"}
         why = known.get(reason, f"SNES stopped with reason {reason}")
-        return f"{why} after {self.result.iterations} iterations: {open_blocks}"
+        return f"{why} after {self.result.iterations} iterations: {open_blocks}{self._worst_place()}"
+
+    def _worst_place(self) -> str:
+        """Where the forces are farthest from equilibrium (collective)."""
+        p = self.problem
+        nodal = np.linalg.norm(self.snes.getFunction()[0].getNestSubVecs()[0].array_r.reshape(-1, p.gdim), axis=1)
+        nodal = np.where(np.isfinite(nodal), nodal, np.inf)
+        k = int(np.argmax(nodal)) if len(nodal) else -1
+        mine = (float(nodal[k]), tuple(p.bodies.owned_positions()[k].tolist())) if len(nodal) else (-1.0, ())
+        _, X = max(p.comm.allgather(mine))
+        return f", worst at X = ({', '.join(f'{x:.4g}' for x in X)})"
+
+    def _advice(self) -> str:
+        """What a failed solve says of the equilibrium itself."""
+        p, parts = self.problem, []
+        if p.floating:
+            held = " and ".join(str(piece) for piece in p.floating)
+            parts.append(
+                f"contact alone holds {held}: press it on, prescribe the motion that is free, add friction, or let it "
+                "move with dynamics.march"
+            )
+        elif any(sign < 0 for sign in self.result.signs):
+            parts.append(
+                "the Jacobian's determinant is negative on the way: an unstable equilibrium (a limit or bifurcation point) is "
+                "near; follow it with quasistatic.follow, prescribe a displacement, or let the bodies move with dynamics.march"
+            )
+        return "".join(f"; {part}" for part in parts)

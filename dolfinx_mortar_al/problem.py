@@ -21,6 +21,7 @@ from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.monitors import Finding, Monitor
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector, matrix_with_pattern
+from dolfinx_mortar_al.pieces import Piece
 from dolfinx_mortar_al.stopwatch import Stopwatch
 
 __all__ = ["ContactProblem", "Snapshot", "Term"]
@@ -130,6 +131,8 @@ class ContactProblem:
         self.limp = self.bodies.is_limp(diagonals)
         #: a fictitious tension in the Jacobian, as a share of the stiffness (no part of the residual)
         self.tension, self._tension_matrix = 0.0, None
+        #: springs on the pieces that contact alone holds, in the Jacobian only: (N/m) and the share of them in use
+        self.springs, self.spring_share = self.bodies.springs(diagonals), 0.0
         for k in range(1, n):
             for i, j in [(0, k), (k, 0), (k, k)]:
                 self.blocks[i][j] = empty_matrix(self._layouts[i], self._layouts[j])
@@ -255,6 +258,8 @@ class ContactProblem:
             self.bodies.assemble_jacobian(self.blocks[0][0])
             if self.tension:
                 self._add_tension()
+            if self.springs is not None:
+                self._add_springs()
             for term in self.terms:
                 self.blocks[0][0].assemble()
                 term.add_jacobian(self.blocks[0][0])
@@ -266,8 +271,10 @@ class ContactProblem:
             self.matrix.assemble()
 
     def findings(self) -> list[Finding]:
-        """What the monitors find below their bounds in the present state (collective)."""
-        return [finding for monitor in self.monitors if (finding := monitor.look()) is not None]
+        """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse
+        (collective)."""
+        looks = [monitor.look() for monitor in self.monitors] + [pair.coarse_integration() for pair in self.pairs]
+        return [finding for finding in looks if finding is not None]
 
     def evaluate(self) -> None:
         """Bring the pairs' contact state, and all that is reported of it, up to date with the displacements."""
@@ -280,6 +287,28 @@ class ContactProblem:
         A = self.blocks[0][0]
         A.assemble()
         A.axpy(self.tension, self._tension_matrix, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+
+    def _add_springs(self) -> None:
+        A, k = self.blocks[0][0], self.springs
+        A.assemble()
+        mine = np.arange(*A.getOwnershipRange(), dtype=np.int32)[:, None]
+        A.setValuesRCV(mine, mine, self.spring_share * k.array_r[:, None, None], _ADD)
+
+    @property
+    def floating(self) -> list[Piece]:
+        """The pieces of bodies that nothing but contact holds."""
+        return [piece for body in self.bodies.bodies for piece in body.floating]
+
+    def unsupported(self) -> bool:
+        """Whether some piece may float while some pair is open all over (collective)."""
+        closed = [self.comm.allreduce(bool(pair.active.closed.any()), MPI.LOR) for pair in self.pairs]
+        return bool(self.floating) and not all(closed)
+
+    def longest_motion(self, du: Array) -> float:
+        """Largest change of a node's position in `du` (owned dofs,), in target facets (collective)."""
+        nodal = np.linalg.norm(du.reshape(-1, self.gdim), axis=1)
+        size = min((pair.target.size for pair in self.pairs), default=np.inf)
+        return float(self.comm.allreduce(float(nodal.max(initial=0.0)), MPI.MAX)) / size
 
     def contact_pattern(self) -> int:
         """A number that changes with the open/slip/stick state of any point on any rank (collective)."""

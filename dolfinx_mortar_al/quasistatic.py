@@ -24,6 +24,16 @@ EVENT = 2.0**-6  # of an asked-for increment: how closely an event is met
 EASY = 8  # Newton iterations up to which an increment that was cut may grow again
 
 
+UNSTABLE = Finding(
+    "determinant of the Jacobian",
+    -1.0,
+    (),
+    "this equilibrium is unstable: a real body would leave it; follow the path with quasistatic.follow or let the bodies move "
+    "with dynamics.march",
+    False,
+)
+
+
 class StepFailure(RuntimeError):
     """A step did not converge even at the smallest increment; what had converged was yielded before."""
 
@@ -194,6 +204,8 @@ class _Stepper:
         self.iterations += result.iterations
         self.easy, self._message = result.iterations <= EASY, result.message
         self._findings = self.problem.findings() if result.converged else []
+        if result.converged and result.unstable:
+            self._findings.append(UNSTABLE)
         fatal = [str(f) for f in self._findings if f.fatal]
         if fatal:
             self._message = "; ".join(fatal)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.kinematics import Kinematics
 from dolfinx_mortar_al.law import OPEN, STICK, LawState
+from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.projection import Projection
 from dolfinx_mortar_al.targets import Target
 
@@ -18,6 +19,10 @@ __all__ = ["PairResults"]
 
 Array = NDArray[np.float64]
 
+FINER = (
+    "the target is finer than the contactor's integration points, which miss some of its facets: the pressure is inaccurate; swap "
+    "contactor and target, refine the contactor or raise quadrature_degree"
+)
 AT_END = 0.1  # weight of the other nodes where a point counts as at the target's end
 
 
@@ -29,6 +34,7 @@ class PairResults:
     """
 
     comm: MPI.Intracomm
+    name: str
     gdim: int
     integration: IntegrationPoints
     kinematics: Kinematics
@@ -99,6 +105,15 @@ class PairResults:
 
     def _share(self, points: NDArray[np.bool_]) -> float:
         return float(self.comm.allreduce(float(self.j[points].sum()))) / self.area
+
+    def coarse_integration(self) -> Finding | None:
+        """Where closed points lie farther apart than the target facets they face are long (collective)."""
+        closed = np.flatnonzero(self.state.status != OPEN)
+        ratio = self.target.extents[self.at.point.facet[closed]] / self.integration.spacing[closed]
+        k = int(np.argmin(ratio)) if len(ratio) else -1
+        mine = (float(ratio[k]), tuple(self.points()[closed[k]].tolist())) if len(ratio) else (np.inf, ())
+        value, X = min(self.comm.allgather(mine))
+        return None if value >= 1.0 else Finding(f"{self.name}: target facets per point's distance", value, X, FINER, False)
 
     def reaches_end(self) -> bool:
         """Whether a point is closed at the very end of the contactor or of the target (collective)."""

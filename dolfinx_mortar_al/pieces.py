@@ -1,0 +1,104 @@
+"""The connected pieces of a body's mesh, and which rigid motions its Dirichlet conditions leave free.
+
+A piece that may still move as a whole is held by contact alone: while the contact is open its stiffness is singular. Newton
+then needs help (`NewtonSolver`), and a failure can say which piece it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+__all__ = ["Piece", "floating_pieces"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+FREE = 1e-10  # share of a rigid motion's square that prescribed components must see, or stiffness, for it to be held
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A piece of a mesh that can move as a whole.
+
+    Attributes:
+        centre: (gdim,) mean reference position of its nodes (m).
+        nodes: numbers, local to this rank, of its nodes, ghosts included.
+    """
+
+    centre: Array
+    nodes: Index
+
+    def __str__(self) -> str:
+        return f"the body around X = {np.array2string(self.centre, precision=3)}"
+
+
+def floating_pieces(V: fem.FunctionSpace, prescribed: fem.Function, stiffness: PETSc.Mat) -> list[Piece]:
+    """The pieces of V's mesh that can move as a whole: neither `prescribed` (1 at prescribed components) nor `stiffness`,
+    such as an elastic foundation or inertia, holds them (collective)."""
+    comm, d = V.mesh.comm, V.mesh.geometry.dim
+    label = _labels(V)
+    owned = V.dofmap.index_map.size_local
+    X = V.tabulate_dof_coordinates()[:owned, :d]
+    held = prescribed.x.array[: owned * d].reshape(-1, d) > 0
+    scale = stiffness.getDiagonal().max()[1]
+    pieces = []
+    for number in sorted(set().union(*comm.allgather(set(label[:owned].tolist())))):
+        mine = label[:owned] == number
+        total = comm.allreduce(np.r_[mine.sum(), X[mine].sum(axis=0)], MPI.SUM)
+        centre = total[1:] / total[0]
+        size = np.sqrt(comm.allreduce(float(np.sum((X[mine] - centre) ** 2)), MPI.SUM) / total[0])
+        modes = _rigid_motions((X - centre) / max(size, 1e-300)) * mine[:, None, None]  # (nodes, d, modes)
+        gram = comm.allreduce(modes[held].T @ modes[held], MPI.SUM) / total[0]
+        share, combinations = np.linalg.eigh(gram)
+        free = (modes @ combinations[:, share < FREE]).reshape(owned * d, -1)
+        if any(_energy(stiffness, mode) < FREE * scale * total[0] for mode in free.T):
+            pieces.append(Piece(centre, np.flatnonzero(label == number)))
+    return pieces
+
+
+def _energy(A: PETSc.Mat, mode: Array) -> float:
+    """|𝐦ᵀ𝐀𝐦| of the mode with the owned values `mode`."""
+    m, Am = A.createVecs()
+    m.array[:] = mode
+    A.mult(m, Am)
+    return abs(float(m.dot(Am)))
+
+
+def _labels(V: fem.FunctionSpace) -> Index:
+    """(nodes,) the piece of each node of this rank, ghosts included: the largest global number of a node in it (collective)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    cells, index_map = V.dofmap.list, V.dofmap.index_map
+    n = index_map.size_local + index_map.num_ghosts
+    i, j = np.repeat(cells[:, 0], cells.shape[1]), cells.ravel()
+    count, local = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)
+    field = fem.Function(V)
+    value = field.x.array.reshape(n, -1)  # the same in all components
+    value[:] = index_map.local_to_global(np.arange(n, dtype=np.int32))[:, None]
+    while True:
+        largest = np.full(count, -1.0)
+        np.maximum.at(largest, local, value[:, 0])
+        changed = bool(np.any(largest[local] != value[:, 0]))
+        value[:] = largest[local][:, None]
+        if not V.mesh.comm.allreduce(changed, MPI.LOR):
+            return value[:, 0].astype(np.int64)
+        field.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
+        field.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
+
+
+def _rigid_motions(x: Array) -> Array:
+    """(n, d, modes) translations and infinitesimal rotations at points x (n, d)."""
+    n, d = x.shape
+    modes = [np.broadcast_to(e, (n, d)) for e in np.eye(d)]
+    if d == 2:
+        modes.append(np.stack([-x[:, 1], x[:, 0]], axis=1))
+    else:
+        modes += [np.cross(np.broadcast_to(e, (n, d)), x) for e in np.eye(3)]
+    return np.stack(modes, axis=2)
