@@ -25,7 +25,7 @@ _Reason = PETSc.SNES.ConvergedReason
 
 FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane's stiffness in its own plane
 LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, as a share of the largest pressure
-LONGEST = 1.0  # target facets that a closed point may move over the target in one iteration
+LONGEST = 4.0  # target facets that a closed point may move over the target in one iteration
 EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
 ROUND_OFF = 100.0  # multiples of the tolerance in which a residual that stands still counts as round-off
 SPRING = 1e-8  # of pieces that contact alone holds, as a share of their stiffness, times the relative residual
@@ -46,6 +46,9 @@ class NewtonResult:
     norms: list[list[float]] = field(default_factory=list)
     #: of the Jacobian's determinant in each iteration, where MUMPS solves
     signs: list[float] = field(default_factory=list)
+
+    #: relative residual of the last iteration: 1 is no progress at all
+    residual: float = np.inf
 
     @property
     def unstable(self) -> bool:
@@ -214,6 +217,7 @@ class NewtonSolver:
         f = self.problem.residual.getNestSubVecs() if iteration == 0 else snes.getFunction()[0].getNestSubVecs()
         ratio = [v.norm() / scale for v, scale in zip(f, self._scales(), strict=True)]
         self.result.norms.append(ratio)
+        self.result.residual = max(ratio) * self.rtol
         if not np.isfinite(ratio).all():
             self.result.message = "the residual is not a number"
             return _Reason.DIVERGED_FNORM_NAN

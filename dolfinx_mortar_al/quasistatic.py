@@ -13,7 +13,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.monitors import Finding, Reporter
-from dolfinx_mortar_al.newton import Load, NewtonSolver, Path
+from dolfinx_mortar_al.newton import HOPELESS, Load, NewtonSolver, Path
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot
 
 __all__ = ["Step", "StepFailure", "follow", "march"]
@@ -21,6 +21,7 @@ __all__ = ["Step", "StepFailure", "follow", "march"]
 MAX_ORDER = 4  # of the predictor's polynomial
 BETTER = 3.0  # factor by which a higher order must have been better to be used: measured, docs/newton.md
 EVENT = 2.0**-6  # of an asked-for increment: how closely an event is met
+CUT, CUT_HOPELESS = 1 / 2, 1 / 4  # of the increment after a failure: that came near, that made no progress at all
 EASY = 8  # Newton iterations up to which an increment that was cut may grow again
 
 
@@ -66,8 +67,8 @@ def march(
 ) -> Iterator[Step]:
     """Solve at growing loads and yield each converged step.
 
-    A step that fails is undone, slip history included, and tried again at half the increment, which grows back after easy
-    steps. Loads at multiples of (to − start)/increments are always met.
+    A step that fails is undone, slip history included, and tried again at half the increment (a quarter if Newton made no
+    progress), which grows back after easy steps. Loads at multiples of (to − start)/increments are always met.
 
     Args:
         problem: to solve.
@@ -102,7 +103,7 @@ def march(
         stepper.past.predict(trial)
         parameter.value = trial
         if not stepper.solve():
-            increment = (trial - current) / 2
+            increment = stepper.cut * (trial - current)
             stepper.undo(current, hopeless=abs(increment) < smallest * abs(asked))
             continue
         happened = until is not None and until()
@@ -168,7 +169,7 @@ def follow(
         problem.bodies.set(u1 + share * direction)
         parameter.value = λ1 + share * (λ1 - λ0)
         if not stepper.solve(Path(parameter, direction, 1e-3 * first)):
-            step_length /= 2
+            step_length *= stepper.cut
             stepper.undo(λ1, hopeless=step_length < smallest * length)
             continue
         states = [(λ1, u1), (parameter.value, problem.bodies.get())]
@@ -194,7 +195,7 @@ class _Stepper:
         self.solver = NewtonSolver(problem) if solver is None else solver
         self.past = _Past(problem)
         self.rejected = self.iterations = 0
-        self.easy = False
+        self.easy, self.cut = False, CUT
         self._reporter = Reporter(problem.comm.rank)
         self._clock = perf_counter()
 
@@ -203,6 +204,7 @@ class _Stepper:
         result = self.solver.solve(path)
         self.iterations += result.iterations
         self.easy, self._message = result.iterations <= EASY, result.message
+        self.cut = CUT if result.residual < HOPELESS else CUT_HOPELESS
         self._findings = self.problem.findings() if result.converged else []
         if result.converged and result.unstable:
             self._findings.append(UNSTABLE)
