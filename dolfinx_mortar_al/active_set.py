@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
+PATIENCE = 1.0  # gaps are trusted to this many times their error
 CLOSES = 3.0  # an open point closes beyond this many times what makes a closed one open: closing by mistake costs more
 WEAK = 0.1  # share of the largest pressure below which points of a first, all-closed guess open
 LOSSES = 2  # times a closed point may slide off the target before it stays open for the rest of a solve
@@ -49,8 +50,9 @@ class ActiveSet:
         self.closed: Bool = np.zeros(n, dtype=bool)
         self.frozen: Array | None = None
         self.guessed, self.cautious = True, True
-        self.patience = 1.0
+        self.patience = PATIENCE
         self._losses: Index = np.zeros(n, dtype=np.int64)
+        self._pardoned = False
         multiplier, points = blocks.multiplier, blocks.points
         area = fem.Function(multiplier.field.function_space)
         np.add.at(
@@ -64,8 +66,8 @@ class ActiveSet:
 
     def begin(self) -> None:
         """A new solve: gaps are trusted as at first, bounds are free, and points may come back to the target."""
-        self.patience, self._weak_may_open, self.frozen = 1.0, self.guessed, None
-        self._losses[:] = 0
+        self.patience, self._weak_may_open, self.frozen = PATIENCE, self.guessed, None
+        self._losses[:], self._pardoned = 0, False
 
     @property
     def _left(self) -> Bool:
@@ -98,6 +100,15 @@ class ActiveSet:
         self._losses += before & ~kinematics.may_close
         self.closed = may_close & (λ >= np.where(before, release, close))
         return not np.array_equal(before, self.closed)
+
+    def pardon(self, state: LawState, kinematics: Kinematics) -> bool:
+        """Once in a solve that has converged: give points that slid off for good, and penetrate the target now, one more
+        chance, since Newton may have thrown them off on its way; whether there are any (collective)."""
+        back = self._left & kinematics.may_close & (state.λN_hat > 0)
+        if self._pardoned or not self._comm.allreduce(bool(back.any()), MPI.LOR):
+            return False
+        self._losses[back], self._pardoned = LOSSES - 1, True
+        return True
 
     def expect(self, λN_hat: Array, kinematics: Kinematics, εN: float) -> None:
         """Start from the set that λ̂_N (n,) says."""

@@ -54,7 +54,8 @@ class Contact:
         projection: "rays" along the contactor's normals, or "closest", the paper's closest points. A rigid obstacle always
             has the closest points.
         quadrature_degree: of the contactor's Gauss points, at least twice the multiplier's order; default 4 × the
-            displacement's order, on a curved membrane in the plane 6 × order + 1.
+            displacement's order (on a curved membrane in the plane 6 × order + 1), more where the target's facets are
+            finer.
         thickness: out of the plane (m), for two-dimensional bodies; the same as in the bulk's forms.
         name: for messages and output.
 
@@ -108,7 +109,7 @@ class ContactPair(PairResults):
         self.facets = Facets.of(contact.contactor, self._body1.space)
         contactor = self.facets.gather()
         self.target = target_of(contact.target, bodies, contactor.size_of_facets, contact.projection == "rays")
-        self.integration = self._points()
+        self.integration = self._points(float(contactor.areas().max() ** (1.0 / self.target.dim)))
         self.area = float(self.comm.allreduce(float(self.j.sum())))
         self.kinematics: Kinematics = PositionLevel(self.integration, self._body1.u, self.target, friction)
         #: (nf, nodes) numbers of the contactor's nodes among all bodies'
@@ -126,7 +127,8 @@ class ContactPair(PairResults):
         """(nf, nodes, gdim) values of the contactor's body at its facets' nodes; ghosts are up to date."""
         return np.asarray(u.x.array.reshape(-1, self.gdim)[self.facets.dofs])
 
-    def _points(self) -> IntegrationPoints:
+    def _points(self, extent: float) -> IntegrationPoints:
+        """The integration points; `extent` (m) of the contactor's largest facet."""
         contact, order = self.contact, self.facets.shape.order
         if contact.multiplier_order not in (1, order):
             raise ValueError(
@@ -140,7 +142,8 @@ class ContactPair(PairResults):
                 f"{contact.multiplier_order}; take at least {2 * contact.multiplier_order}"
             )
         if degree is None:
-            degree = default_degree(self.facets, contact.contactor.is_membrane)
+            ratio = extent / float(np.mean(self.target.extents))
+            degree = default_degree(self.facets, contact.contactor.is_membrane, ratio)
         return IntegrationPoints.gauss(self.facets, degree, contact.thickness)
 
     def _points_at_end(self, ends: Index) -> Bool:

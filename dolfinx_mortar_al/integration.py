@@ -24,13 +24,15 @@ Index = NDArray[np.int64]
 PER_ORDER = 4
 # a membrane has no bending stiffness: its pressure jumps at the edge of contact, inside a facet (docs/membranes.md)
 PER_ORDER_ON_CURVES = 6
+PER_TARGET_FACET = 2.0  # points along each target facet's length: none is passed over
+HIGHEST = 30
 
 
-def default_degree(facets: Facets, is_membrane: bool) -> int:
-    """The quadrature degree that is used unless the user names one."""
-    if is_membrane and facets.shape.dim == 1:
-        return PER_ORDER_ON_CURVES * facets.shape.order + 1
-    return PER_ORDER * facets.shape.order
+def default_degree(facets: Facets, is_membrane: bool, ratio: float) -> int:
+    """The quadrature degree that is used unless the user names one; `ratio` of the contactor's to the target's facets."""
+    order = facets.shape.order
+    degree = PER_ORDER_ON_CURVES * order + 1 if is_membrane and facets.shape.dim == 1 else PER_ORDER * order
+    return min(HIGHEST, max(degree, 2 * int(np.ceil(PER_TARGET_FACET * ratio)) - 1))
 
 
 @dataclass(frozen=True)

@@ -224,7 +224,8 @@ class NewtonSolver:
         if (max(ratio) <= 1.0 or self._at_round_off()) and all(
             pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs
         ):
-            return None if self._bounds_are_stale() else _Reason.CONVERGED_FNORM_ABS
+            pardoned = [pair.active.pardon(pair.state, pair.kinematics) for pair in self.problem.pairs]
+            return None if any(pardoned) or self._bounds_are_stale() else _Reason.CONVERGED_FNORM_ABS
         recent = [max(norms) * self.rtol for norms in self.result.norms[-5:]]
         patience = 2 * HOPELESS_AFTER if self.problem.limp else HOPELESS_AFTER
         if iteration >= snes.getTolerances()[3] or (iteration >= patience and min(recent) > HOPELESS):
