@@ -166,7 +166,8 @@ class ContactProblem:
                 block.assemble()
                 self.blocks[i][j] = block
         contact.assemble()
-        self.blocks[0][0] = matrix_with_pattern(self._layouts[0], self._bulk_pattern, contact.getValuesCSR()[:2])
+        self.blocks[0][0] = matrix_with_pattern(self._layouts[0], self._bulk_pattern)
+        self.blocks[0][0].axpy(1.0, contact, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         self._make_nest()
 
     def _make_nest(self) -> None:
