@@ -92,9 +92,10 @@ def hits(
 
     `nodes` (nf, k, gdim) are the facets' nodes. Returns row, facet, η (m, dim) and the signed distance d (m,) of each.
     """
-    across = _across(normal)
-    c = (nodes[facet] - x[row, None]) @ np.swapaxes(across, 1, 2)[row]  # the line is the origin
-    low, high = c.min(axis=1), c.max(axis=1)
+    across = np.swapaxes(_across(normal), 1, 2).copy()
+    c = (nodes[facet] - x[row, None]) @ across[row]  # the line is the origin
+    by_node = np.swapaxes(c, 0, 1).copy()  # NumPy is slow along a short axis that is not the first
+    low, high = by_node.min(axis=0), by_node.max(axis=0)
     slack = (0.25 if shape.order > 1 else 1e-9) * (high - low)  # a curve leaves its nodes' box
     near = ((low <= slack) & (high >= -slack)).all(axis=1)
     row, facet, c = row[near], facet[near], c[near]
