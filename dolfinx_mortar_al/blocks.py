@@ -127,10 +127,11 @@ class Blocks:
         U_rows = np.concatenate([self.contactor[facet[runs]], self.target.blocks[target]], axis=1)
         fixed = np.concatenate([self.fixed[facet[runs]], self.target.fixed[target]], axis=1)
         U_columns = np.concatenate([U_rows, self.target.blocks[old]], axis=1) if self.friction else U_rows
-        Λ_nodes, free = self.multiplier.blocks[facet[runs]], ~fixed[:, :, :, None, None]
+        Λ_nodes, UU, UΛ = self.multiplier.blocks[facet[runs]], _add_runs(UU, runs), _add_runs(UΛ, runs)
+        UU[fixed] = UΛ[fixed] = 0.0
         return Tangent(
-            (U_rows, U_columns, _add_runs(UU, runs) * free),
-            (U_rows, Λ_nodes, _add_runs(UΛ, runs) * free),
+            (U_rows, U_columns, UU),
+            (U_rows, Λ_nodes, UΛ),
             (Λ_nodes, U_columns, _add_runs(ΛU, runs)),
             (self.multiplier.blocks, self.multiplier.blocks, ΛΛ),
         )

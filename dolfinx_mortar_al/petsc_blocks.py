@@ -69,7 +69,8 @@ def matrix_with_pattern(layout: Layout, pattern: tuple[Index, Index]) -> PETSc.M
 def insert(A: PETSc.Mat, rows: Index, columns: Index, values: Array, factor: float = 1.0) -> None:
     """Add `factor` × element matrices (m, rows, row_bs, columns, column_bs) at global blocks (m, ·), (m, ·)."""
     m, k, row_bs, l, column_bs = values.shape
-    values = factor * values.reshape(m, k * row_bs, l * column_bs)
+    values = values.reshape(m, k * row_bs, l * column_bs)
+    values = values if factor == 1.0 else factor * values
     if row_bs == column_bs and row_bs > 1:
         A.setValuesBlockedRCV(rows.astype(np.int32), columns.astype(np.int32), values, _ADD)
         return
