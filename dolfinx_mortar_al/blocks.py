@@ -1,7 +1,7 @@
 """Element vectors and matrices of a pair, eqs. (4) and (6)–(10), and where in the global matrices they stand.
 
-At each point the tangent is j Bᵀ C B: B holds shape functions, C the small matrix of `law` and `variation`. Points that follow
-each other on the same facets share an element matrix.
+At each point the tangent is j Bᵀ C B: B holds shape functions, C the small matrix of `law` and `variation`. Points that
+follow each other on the same facets share an element matrix.
 """
 
 from __future__ import annotations
@@ -127,10 +127,11 @@ class Blocks:
         U_rows = np.concatenate([self.contactor[facet[runs]], self.target.blocks[target]], axis=1)
         fixed = np.concatenate([self.fixed[facet[runs]], self.target.fixed[target]], axis=1)
         U_columns = np.concatenate([U_rows, self.target.blocks[old]], axis=1) if self.friction else U_rows
-        Λ_nodes, free = self.multiplier.blocks[facet[runs]], ~fixed[:, :, :, None, None]
+        Λ_nodes, UU, UΛ = self.multiplier.blocks[facet[runs]], _add_runs(UU, runs), _add_runs(UΛ, runs)
+        UU[fixed] = UΛ[fixed] = 0.0
         return Tangent(
-            (U_rows, U_columns, _add_runs(UU, runs) * free),
-            (U_rows, Λ_nodes, _add_runs(UΛ, runs) * free),
+            (U_rows, U_columns, UU),
+            (U_rows, Λ_nodes, UΛ),
             (Λ_nodes, U_columns, _add_runs(ΛU, runs)),
             (self.multiplier.blocks, self.multiplier.blocks, ΛΛ),
         )
@@ -192,16 +193,24 @@ class Blocks:
     def _couple_shape(self) -> tuple[int, int, int]:
         return max(self.points.facets.size, 1), len(self.target.facets), len(self.target.facets)
 
-    def pattern(self, couples: Index) -> list[tuple[Index, Index, Array]]:
-        """Zero element matrices (UU, UΛ, ΛU, ΛΛ) with the global blocks of the given couples."""
+    def pattern(self, couples: Index) -> list[list[tuple[Index, Index, Array]]]:
+        """For UU, UΛ, ΛU and ΛΛ: zero element matrices with global blocks, wherever the given couples have entries."""
         facet, target, old = np.unravel_index(couples, self._couple_shape)
-        bodies = [self.contactor[facet], self.target.blocks[self.target.facets[target]]]
-        rows = np.concatenate(bodies, axis=1)
-        past = [self.target.blocks[self.target.facets[old]]] if self.friction else []
-        columns = np.concatenate([rows, *past], axis=1)
-        Λ, own, d, m = self.multiplier.blocks[facet], self.multiplier.blocks, self.gdim, self.multiplier.components
-        places = [(rows, columns, d, d), (rows, Λ, d, m), (Λ, columns, m, d), (own, own, m, m)]
-        return [(i, j, np.zeros((len(i), i.shape[1], a, j.shape[1], b))) for i, j, a, b in places]
+        on_target, d, m = self.target.blocks[self.target.facets], self.gdim, self.multiplier.components
+        rows = [(facet, self.contactor, d), (target, on_target, d)]
+        columns = [*rows, (old, on_target, d)] if self.friction else rows
+        all_facets = np.arange(len(self.contactor))
+        Λ, own = (facet, self.multiplier.blocks, m), (all_facets, self.multiplier.blocks, m)
+        places = [(rows, columns), (rows, [Λ]), ([Λ], columns), ([own], [own])]
+        return [[_zeros(i, j) for i in first for j in second] for first, second in places]
+
+
+def _zeros(rows: tuple[Index, Index, int], columns: tuple[Index, Index, int]) -> tuple[Index, Index, Array]:
+    """An element matrix of zeros for each different pair of facets (m,), with their blocks; `rows` and `columns` are the
+    facets, the blocks (nf, nodes) of all facets, and the components."""
+    (i, blocks_i, a), (j, blocks_j, b) = rows, columns
+    i, j = np.divmod(np.unique(i * len(blocks_j) + j), max(len(blocks_j), 1))
+    return blocks_i[i], blocks_j[j], np.zeros((len(i), blocks_i.shape[1], a, blocks_j.shape[1], b))
 
 
 def _apply_columns(C: Array, B: Array, d: int) -> Array:

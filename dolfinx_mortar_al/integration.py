@@ -100,9 +100,13 @@ class IntegrationPoints:
         """(nf, …) sums of (n, …) over each facet's points."""
         total = np.zeros((self.facets.size, *values.shape[1:]))
         if self.size:
-            starts = np.flatnonzero(np.r_[True, np.diff(self.facet) > 0])
-            total[self.facet[starts]] = np.add.reduceat(values, starts, axis=0)
+            total[self.facet[self._starts]] = np.add.reduceat(values, self._starts, axis=0)
         return total
+
+    @cached_property
+    def _starts(self) -> Index:
+        """Where each facet's points begin."""
+        return np.flatnonzero(np.r_[True, np.diff(self.facet) > 0])
 
     @cached_property
     def spacing(self) -> Array:

@@ -55,24 +55,22 @@ def empty_matrix(rows: Layout, columns: Layout) -> PETSc.Mat:
     return A
 
 
-def matrix_with_pattern(layout: Layout, *patterns: tuple[Index, Index]) -> PETSc.Mat:
-    """A square matrix whose pattern is the union of some in compressed rows (of this rank, global columns), entries zero."""
-    from scipy.sparse import csr_array
-
-    union = sum(csr_array((np.ones(len(j)), j, i), shape=layout.sizes) for i, j in patterns)
-    union.sort_indices()
+def matrix_with_pattern(layout: Layout, pattern: tuple[Index, Index]) -> PETSc.Mat:
+    """A square matrix with a pattern in compressed rows (of this rank, ascending global columns), entries zero."""
+    indptr, indices = pattern
     A = PETSc.Mat().create(layout.comm)
     A.setSizes((layout.sizes, layout.sizes))
     A.setType(PETSc.Mat.Type.AIJ)
     A.setBlockSize(layout.components)
-    A.setPreallocationCSR((union.indptr.astype(np.int32), union.indices.astype(np.int32), np.zeros(union.nnz)))
+    A.setPreallocationCSR((indptr.astype(np.int32), indices.astype(np.int32), np.zeros(len(indices))))
     return A
 
 
 def insert(A: PETSc.Mat, rows: Index, columns: Index, values: Array, factor: float = 1.0) -> None:
     """Add `factor` × element matrices (m, rows, row_bs, columns, column_bs) at global blocks (m, ·), (m, ·)."""
     m, k, row_bs, l, column_bs = values.shape
-    values = factor * values.reshape(m, k * row_bs, l * column_bs)
+    values = values.reshape(m, k * row_bs, l * column_bs)
+    values = values if factor == 1.0 else factor * values
     if row_bs == column_bs and row_bs > 1:
         A.setValuesBlockedRCV(rows.astype(np.int32), columns.astype(np.int32), values, _ADD)
         return

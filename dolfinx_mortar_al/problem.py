@@ -152,24 +152,18 @@ class ContactProblem:
         grown = any(len(np.setdiff1d(n, seen, assume_unique=True)) for n, seen in zip(new, self._seen, strict=True))
         if not self.comm.allreduce(grown, MPI.LOR):
             return
-        for k, pair in enumerate(self.pairs):
-            self._seen[k] = np.union1d(self._seen[k], pair.blocks.with_neighbours(new[k]))
-        n = len(self.blocks)
-        self.blocks = [[None] * n for _ in range(n)]
-        contact = empty_matrix(self._layouts[0], self._layouts[0])
         for k, pair in enumerate(self.pairs, start=1):
-            UU, *others = pair.blocks.pattern(self._seen[k - 1])
-            insert(contact, *UU)
-            for (i, j), element in zip([(0, k), (k, 0), (k, k)], others, strict=True):
-                block = empty_matrix(self._layouts[i], self._layouts[j])
-                insert(block, *element)
-                if i == j:
+            fresh = np.setdiff1d(pair.blocks.with_neighbours(new[k - 1]), self._seen[k - 1], assume_unique=True)
+            self._seen[k - 1] = np.union1d(self._seen[k - 1], fresh)
+            for (i, j), elements in zip([(0, 0), (0, k), (k, 0), (k, k)], pair.blocks.pattern(fresh), strict=True):
+                entries = empty_matrix(self._layouts[i], self._layouts[j])
+                for element in elements:
+                    insert(entries, *element)
+                if i == j == k:
                     idle = pair.multiplier.idle
-                    block.setValuesRCV(idle[:, None], idle[:, None], np.zeros((len(idle), 1, 1)), _ADD)
-                block.assemble()
-                self.blocks[i][j] = block
-        contact.assemble()
-        self.blocks[0][0] = matrix_with_pattern(self._layouts[0], self._bulk_pattern, contact.getValuesCSR()[:2])
+                    entries.setValuesRCV(idle[:, None], idle[:, None], np.zeros((len(idle), 1, 1)), _ADD)
+                entries.assemble()
+                self.blocks[i][j].axpy(1.0, entries, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         self._make_nest()
 
     def _make_nest(self) -> None:

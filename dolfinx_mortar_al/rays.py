@@ -1,8 +1,8 @@
 """Projection along the contactor's normal: 𝐱 + d 𝐧 = 𝐲(η), with ν = −𝐧 and g = −d (``docs/projection.md``).
 
-A Gauss point lies inside its facet, where 𝐧 is smooth, and the target is a continuous surface: 𝐲, ν and g are continuous in
-the displacements, also where the ray passes from one target facet to the next. The pressure acts along 𝐲 − 𝐱, so that a pair's
-normal forces have no moment.
+A Gauss point lies inside its facet, where 𝐧 is smooth, and the target is a continuous surface: 𝐲, ν and g are continuous
+in the displacements, also where the ray passes from one target facet to the next. The pressure acts along 𝐲 − 𝐱, so that a
+pair's normal forces have no moment.
 """
 
 from __future__ import annotations
@@ -33,12 +33,10 @@ class RayHit(Projection):
     """Where the rays of n contactor points meet the target.
 
     Attributes:
-        M_inv: (n, gdim, gdim) inverse of [𝐚_α, −𝐧].
-        dual: (n, dim, gdim) contravariant tangents of the contactor at 𝐱.
+        tangents: (n, dim, gdim) 𝐚₁_α of the contactor at 𝐱.
     """
 
-    M_inv: Array
-    dual: Array
+    tangents: Array
 
 
 def cast(
@@ -75,7 +73,7 @@ def cast(
         row, facet, η, d = row[real], facet[real], η[real], d[real]
         nearest = _first_of_each(row, np.abs(d))
 
-    n, dim = len(x), target.shape.dim
+    n = len(x)
     facing = np.zeros(n, dtype=bool)
     facing[row[nearest]] = True
     point = TargetPoint(np.zeros(n, dtype=np.int64), np.repeat(target.shape.corners.mean(axis=0)[None], n, axis=0))
@@ -84,11 +82,7 @@ def cast(
 
     N, dN = target.shape.tabulate(point.η, 1)
     nodes = positions[target.facets[point.facet]]
-    y, a = combine(N, nodes), dN @ nodes
-    M = np.concatenate([np.swapaxes(a, 1, 2), -normal[:, :, None]], axis=2)
-    M[~facing] = np.eye(dim + 1)
-    dual = inverse(tangents @ np.swapaxes(tangents, 1, 2)) @ tangents
-    return RayHit(point, facing, N, dN, y, a, -normal, g, np.linalg.inv(M), dual)
+    return RayHit(point, facing, N, dN, combine(N, nodes), dN @ nodes, -normal, g, tangents)
 
 
 def hits(
@@ -98,10 +92,12 @@ def hits(
 
     `nodes` (nf, k, gdim) are the facets' nodes. Returns row, facet, η (m, dim) and the signed distance d (m,) of each.
     """
-    across = _across(normal)
-    c = np.einsum("mai,mki->mka", across[row], nodes[facet] - x[row, None])  # the line is the origin
-    slack = 0.25 * np.ptp(c, axis=1) if shape.order > 1 else 1e-9 * np.ptp(c, axis=1)  # a curve leaves its nodes' box
-    near = ((c.min(axis=1) <= slack) & (c.max(axis=1) >= -slack)).all(axis=1)
+    across = np.swapaxes(_across(normal), 1, 2).copy()
+    c = (nodes[facet] - x[row, None]) @ across[row]  # the line is the origin
+    by_node = np.swapaxes(c, 0, 1).copy()  # NumPy is slow along a short axis that is not the first
+    low, high = by_node.min(axis=0), by_node.max(axis=0)
+    slack = (0.25 if shape.order > 1 else 1e-9) * (high - low)  # a curve leaves its nodes' box
+    near = ((low <= slack) & (high >= -slack)).all(axis=1)
     row, facet, c = row[near], facet[near], c[near]
     if shape.dim == 1:
         which, η = _on_curve(shape, c[:, :, 0])

@@ -5,6 +5,7 @@ Candidates are found with a margin and stay valid until points, nodes or rays ha
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,6 +36,16 @@ def _table(row: Index, facet: Index, n: int) -> Index:
     return table
 
 
+def _squared_distances(x: Array, centre: Array) -> Iterator[tuple[slice, Array]]:
+    """A slice of the points 𝐱 (n, gdim) at a time, and its (·, nf) squared distances from the centres (m²); both are
+    near the coordinates' origin, far from it distances would lose their digits."""
+    size, batch = np.einsum("fi,fi->f", centre, centre), max(1, BATCH // max(len(centre), 1))
+    for first in range(0, len(x), batch):
+        part = slice(first, first + batch)
+        p = x[part]
+        yield part, size - 2 * p @ centre.T + np.einsum("ni,ni->n", p, p)[:, None]
+
+
 def candidates(x: Array, facets: Array, margin: float) -> Index:
     """(n, k) facets that can be closest to a point once points and nodes have moved by at most margin/4, padded with −1.
 
@@ -43,19 +54,17 @@ def candidates(x: Array, facets: Array, margin: float) -> Index:
         facets: (nf, nodes, gdim) positions of the facets' nodes.
         margin: allowance for motion (m).
     """
-    from scipy.spatial import cKDTree
-
     centre, radius = _balls(facets)
-    tree = cKDTree(centre)
-    # no point of the target is closer than `nearest` to x, and one is at most that far: a node of the nearest facet
-    _, close = tree.query(x)
-    nearest = np.linalg.norm(x[:, None] - facets[close], axis=2).min(axis=1)
-    balls = tree.query_ball_point(x, nearest + radius.max() + margin, return_sorted=True)
-    count = np.fromiter((len(b) for b in balls), dtype=np.int64, count=len(x))
-    facet = np.concatenate([np.asarray(b, dtype=np.int64) for b in balls]) if len(x) else np.empty(0, dtype=np.int64)
-    row = np.repeat(np.arange(len(x)), count)
-    keep = np.linalg.norm(x[row] - centre[facet], axis=1) - radius[facet] <= nearest[row] + margin
-    return _table(row[keep], facet[keep], len(x))
+    rows, columns = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
+    origin = centre.mean(axis=0)
+    for part, squared in _squared_distances(x - origin, centre - origin):
+        distance = np.sqrt(np.maximum(squared, 0.0))
+        # no point of the target is closer than `nearest` to x, and one is at most that far: a node of the nearest facet
+        nearest = np.linalg.norm(x[part, None] - facets[distance.argmin(axis=1)], axis=2).min(axis=1)
+        i, j = np.nonzero(distance - radius <= nearest[:, None] + margin)
+        rows.append(part.start + i)
+        columns.append(j)
+    return _table(np.concatenate(rows), np.concatenate(columns), len(x))
 
 
 def ray_candidates(x: Array, normal: Array, facets: Array, margin: float) -> tuple[Index, Array]:
@@ -67,19 +76,15 @@ def ray_candidates(x: Array, normal: Array, facets: Array, margin: float) -> tup
         facets: (nf, nodes, gdim) positions of the facets' nodes.
     """
     centre, radius = _balls(facets)
-    origin = centre.mean(axis=0)  # distances far from the coordinates' origin would lose their digits
+    origin = centre.mean(axis=0)
     centre, x = centre - origin, x - origin
-    along_facets, size = centre @ normal.T, np.einsum("fi,fi->f", centre, centre)
+    along_facets, along_points = centre @ normal.T, np.einsum("ni,ni->n", x, normal)
     rows, columns, reach = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], np.zeros(len(x))
-    batch = max(1, BATCH // max(len(centre), 1))
-    for first in range(0, len(x), batch):
-        part = slice(first, first + batch)
-        p, n = x[part], normal[part]
-        along = along_facets[:, part].T - np.einsum("ni,ni->n", p, n)[:, None]
-        squared = size - 2 * p @ centre.T + np.einsum("ni,ni->n", p, p)[:, None] - along**2
-        i, j = np.nonzero(squared <= (radius + margin) ** 2)
-        np.maximum.at(reach, first + i, np.abs(along[i, j]))
-        rows.append(first + i)
+    for part, squared in _squared_distances(x, centre):
+        along = along_facets[:, part].T - along_points[part, None]
+        i, j = np.nonzero(squared - along**2 <= (radius + margin) ** 2)
+        np.maximum.at(reach, part.start + i, np.abs(along[i, j]))
+        rows.append(part.start + i)
         columns.append(j)
     return _table(np.concatenate(rows), np.concatenate(columns), len(x)), reach
 

@@ -18,7 +18,7 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.closest_point import ClosestPoint, project
 from dolfinx_mortar_al.obstacles import Obstacle
-from dolfinx_mortar_al.projection import Projection, TargetPoint
+from dolfinx_mortar_al.projection import Projection, TargetPoint, combine
 from dolfinx_mortar_al.rays import cast
 from dolfinx_mortar_al.search import CandidateSearch, RaySearch
 from dolfinx_mortar_al.surface import Facets, Surface
@@ -138,7 +138,7 @@ class DeformableTarget(Target):
         return self.surface.shape.tabulate(point.η)[0]
 
     def positions(self, point: TargetPoint, weights: Array) -> Array:
-        return np.einsum("nk,nki->ni", weights, self._nodes[self.facets[point.facet]])
+        return combine(weights, self._nodes[self.facets[point.facet]])
 
     def stiffness(self, diagonals: Sequence[fem.Function], thickness: float) -> float:
         own = next(d for d in diagonals if d.function_space is self._body.space)

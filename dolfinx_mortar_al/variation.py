@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.closest_point import ClosestPoint
-from dolfinx_mortar_al.projection import Projection
+from dolfinx_mortar_al.projection import Projection, inverse
 from dolfinx_mortar_al.rays import RayHit
 
 __all__ = ["Slots", "Variation", "vary", "vary_frozen"]
@@ -84,8 +84,11 @@ def vary(at: Projection, slots: Slots) -> Variation:
 def _vary_ray(at: RayHit, slots: Slots) -> Variation:
     """δ𝐧 = −𝐚₁^α (𝐧·δ𝐱,α),  [𝐚_α, −𝐧](δη, δd) = δ𝐱 − w + d δ𝐧,  δg = −δd,  δν = −δ𝐧; the slip is s = 𝐱 − φ₂(Y_{n−1})."""
     n, w, δx = -at.ν, slots.slot("w"), slots.slot("x")
-    δn = -np.swapaxes(at.dual, 1, 2) @ np.tensordot(n, slots.derivatives("x"), axes=(1, 1))
-    solution = at.M_inv @ ((δx - w) - at.g[:, None, None] * δn)
+    dual = inverse(at.tangents @ np.swapaxes(at.tangents, 1, 2)) @ at.tangents
+    δn = -np.swapaxes(dual, 1, 2) @ np.tensordot(n, slots.derivatives("x"), axes=(1, 1))
+    M = np.concatenate([np.swapaxes(at.a, 1, 2), at.ν[:, :, None]], axis=2)
+    M[~at.facing] = np.eye(slots.gdim)
+    solution = np.linalg.solve(M, (δx - w) - at.g[:, None, None] * δn)
     δs = np.broadcast_to(δx - slots.slot("w_p"), δn.shape) if slots.friction else None
     return Variation(solution[:, : slots.dim], -solution[:, slots.dim], -δn, slots.multiplier_slot()[None], δs)
 
