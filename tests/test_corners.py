@@ -121,11 +121,13 @@ def test_matching_flat_cells(projection):
 
 @pytest.mark.parametrize("cell", ["line", "triangle", "quadrilateral"])
 def test_the_closest_points_normal_at_a_vertex_is_no_noise(cell):
-    """A point on a vertex but for round-off: its normal is one of the facets', not the direction of the round-off."""
+    """Points on vertices but for round-off, which is much far from the origin: no normal in its direction."""
     surface, rng = curved_surface(cell, 1), np.random.default_rng(1)
     inner = np.flatnonzero(~surface.end_nodes)
-    for noise in (0.0, 1e-14, 1e-9, 1e-7):  # m; facets are 0.3 to 0.5
-        x = surface.X[inner] + noise * rng.uniform(-1, 1, surface.X[inner].shape)
-        at = project(surface, surface.X, x, CandidateSearch(surface)(x, surface.X))
-        assert np.all(at.facing) and np.all(np.abs(at.g) <= 2 * noise + 1e-15)
+    for far, noise in ((0.0, 0.0), (0.0, 1e-14), (0.0, 1e-9), (1e5, 1e-11), (1e5, 1e-10)):  # m; facets are 0.3 to 0.5
+        X = surface.X + far
+        x = np.repeat(X[inner], 20, axis=0)
+        x += noise * rng.uniform(-1, 1, x.shape)
+        at = project(surface, X, x, CandidateSearch(surface)(x, X))
+        assert np.all(at.facing) and np.all(np.abs(at.g) <= 2 * noise + 1e-15 * max(far, 1.0))
         assert np.all(at.ν[:, -1] > 0.5)  # all facets point up

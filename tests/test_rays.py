@@ -207,12 +207,12 @@ def test_a_ray_that_turns_to_the_target_is_seen():
         assert at.facing.tolist() == [hit]
 
 
-def test_rays_past_the_ends_and_along_the_target_face_nothing():
+def test_rays_past_the_ends_along_the_target_and_away_from_it_face_nothing():
     surface = curved_surface("line", 2)
-    x = np.array([[-0.05, 0.4], [0.5, 0.5], [1.05, 0.4], [0.5, 0.5], [0.5, 0.5]])
-    normal = np.array([[0, -1], [0, -1], [0, -1], [0, 1], [1, 0]], dtype=float)
+    x = np.array([[-0.05, 0.4], [0.5, 0.5], [1.05, 0.4], [0.5, 0.3], [0.5, 0.2], [0.5, 0.5]])
+    normal = np.array([[0, -1], [0, -1], [0, -1], [0, 1], [0, 1], [1, 0]], dtype=float)
     at = shoot(surface, x, normal)
-    assert at.facing.tolist() == [False, True, False, False, False]
+    assert at.facing.tolist() == [False, True, False, False, False, False]
     assert np.all(at.g[~at.facing] < -1.0)  # a gap longer than the target
 
 
