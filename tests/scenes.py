@@ -51,9 +51,10 @@ def beams(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, young=E, swap=False, un
     return ContactProblem(F, u, bcs=bcs, contacts=contacts), P
 
 
-def blocks(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, pressure=0.0, dim=2, triangles=False, cells=4, height=0.5):
+def blocks(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, pressure=0.0, dim=2, triangles=False, cells=(4, 4), height=0.5,
+           **options):  # fmt: skip
     """Two stacked blocks on rollers under a dead pressure on top: (problem, pressure in Pa)."""
-    built = TwoBeams(height=height, width=0.5, along=(cells, cells), across=2, through=2, dim=dim, triangles=triangles)
+    built = TwoBeams(height=height, width=0.5, along=cells, across=2, through=2, dim=dim, triangles=triangles)
     domain, _, tags = built.create(comm)
     u = fem.Function(fem.functionspace(domain, ("Lagrange", order, (dim,))))
     V = u.function_space
@@ -72,7 +73,7 @@ def blocks(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, pressure=0.0, dim=2, t
     F = materials.saint_venant_kirchhoff(E, NU).virtual_work(u)
     F -= loads.dead_traction(u, p * on_top * down, ufl.Measure("ds", domain))
     bcs = [roller(0, 0.0), roller(1, -height)] + ([roller(2, 0.0)] if dim == 3 else [])
-    return ContactProblem(F, u, bcs=bcs, contacts=[contact_of(domain, tags, friction=friction)]), p
+    return ContactProblem(F, u, bcs=bcs, contacts=[contact_of(domain, tags, friction=friction, **options)]), p
 
 
 def set_field(problem, displacement, multiplier=None, clamped=True):

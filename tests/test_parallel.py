@@ -2,20 +2,25 @@
 
 import numpy as np
 import pytest
+import ufl
+from dolfinx import fem
 from mpi4py import MPI
 from scenes import beams, tip
 
-from dolfinx_mortar_al import quasistatic
-from dolfinx_mortar_al.surface import Surface
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, quasistatic
+from meshes.ironing import PUNCH, PUNCH_BOTTOM, PUNCH_TOP, SLAB, SLAB_BOTTOM, SLAB_TOP, Ironing
 from meshes.two_beams import LOWER_TOP, UPPER_BOTTOM
 
 
-@pytest.mark.parametrize("dim, triangles, friction", [(2, False, 0.0), (2, True, 0.3), (3, False, 0.3)])
-def test_together_and_alone(dim, triangles, friction):
+@pytest.mark.parametrize(
+    "dim, triangles, friction, projection",
+    [(2, False, 0.0, "rays"), (2, True, 0.3, "rays"), (2, False, 0.3, "closest"), (3, False, 0.3, "rays")],
+)
+def test_together_and_alone(dim, triangles, friction, projection):
     results = []
     for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
         mesh = {"dim": dim, "triangles": triangles, "along": (8, 8), "across": 1}
-        problem, P = beams(comm, friction=friction, mesh=mesh)
+        problem, P = beams(comm, friction=friction, mesh=mesh, projection=projection)
         for _ in quasistatic.march(problem, P, to=4.0, increments=4):
             pass
         results.append((tip(problem), problem.pairs[0].force(), problem.pairs[0].closed_fraction()))
@@ -23,6 +28,50 @@ def test_together_and_alone(dim, triangles, friction):
     assert np.allclose(together[0], alone[0], rtol=1e-8)
     assert np.allclose(together[1], alone[1], rtol=1e-8, atol=1e-8)
     assert together[2] == pytest.approx(alone[2], rel=1e-12)
+
+
+def ironing(comm, slab_is_contactor):
+    """A punch of ten times the slab's stiffness, μ = 0.3, pressed in by 0.1 m and dragged by 0.2 m, a facet a step."""
+    mesh, cells, facets = Ironing(cells=8).create(comm)
+    u = fem.Function(fem.functionspace(mesh, ("Lagrange", 2, (2,))))
+    top, V = fem.Constant(mesh, np.zeros(2)), u.function_space
+    dx = ufl.Measure("dx", mesh, subdomain_data=cells)
+    bodies = {SLAB: 100.0, PUNCH: 1000.0}
+    F = sum(materials.saint_venant_kirchhoff(E, 0.32).virtual_work(u, dx=dx(body)) for body, E in bodies.items())
+    held = {SLAB_BOTTOM: fem.Constant(mesh, np.zeros(2)), PUNCH_TOP: top}
+    bcs = [fem.dirichletbc(v, fem.locate_dofs_topological(V, 1, facets.find(tag)), V) for tag, v in held.items()]
+    sides = [Surface(mesh, facets, PUNCH_BOTTOM), Surface(mesh, facets, SLAB_TOP)]
+    contactor, target = reversed(sides) if slab_is_contactor else sides
+    contact = Contact(contactor, target, friction=0.3)
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+
+    def press(share):
+        top.value[1] = -0.1 * share
+
+    def drag(share):
+        top.value[0] = 0.2 * share
+
+    iterations = [step.iterations for step in quasistatic.march(problem, press, to=1.0, increments=2, start=0.0)]
+    iterations += [step.iterations for step in quasistatic.march(problem, drag, to=1.0, increments=2, start=0.0)]
+    return problem, iterations
+
+
+@pytest.mark.parametrize("slab_is_contactor", [False, True], ids=["punch", "slab"])
+def test_ironing_together_and_alone(slab_is_contactor):
+    """Ranks without a part of the punch or of the zone, and points that slide from facet to facet, stick and slip."""
+    together, iterations = ironing(MPI.COMM_WORLD, slab_is_contactor)
+    alone, same = ironing(MPI.COMM_SELF, slab_is_contactor)
+    assert iterations == same
+    pair, other = together.pairs[0], alone.pairs[0]
+    force = other.force()
+    # the punch is drawn back by less than μ times what presses
+    assert 0.1 < abs(force[0]) / abs(force[1]) < 0.3 + 1e-3
+    assert np.allclose(pair.force(), force, rtol=1e-8)
+    corner = (1.0, 2.0 + 0.6**2 / 2)  # of the punch's bottom
+    assert np.allclose(tip(together, corner), tip(alone, corner), rtol=1e-8)
+    assert pair.largest_pressure() == pytest.approx(other.largest_pressure(), rel=1e-8)
+    assert pair.contact_area() == pytest.approx(other.contact_area(), rel=1e-8)
+    assert pair.stick_fraction() == pytest.approx(other.stick_fraction(), rel=1e-12)
 
 
 def test_contactor_and_target_on_different_ranks():

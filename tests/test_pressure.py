@@ -1,0 +1,41 @@
+"""Pressure at the points under a punch: smooth with multipliers of order 1, whichever side carries them or is stiff."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+import ironing
+
+INNER = 0.7  # of the zone's half width: further out the pressure falls to zero as a root, and points open
+
+
+def roughness(ratio, slab_is_contactor, multiplier_order):
+    """Largest relative difference of the points' pressures from their best polynomial of degree 6, which cannot follow what
+    changes from facet to facet (7 to 11 of them) and follows Hertz' profile to 1e-3."""
+    scene = ironing.Scene(
+        cells=24, friction=0.0, steps=(2, 0), depth=0.1, ratio=ratio, slab_is_contactor=slab_is_contactor, curved=True
+    )
+    problem, top = ironing.build(scene, {"multiplier_order": multiplier_order})
+    assert sum(step.rejected for _, step in ironing.iron(scene, problem, top)) == 0
+    pair = problem.pairs[0]
+    x, p = pair.points()[:, 0], pair.state.p
+    zone = x[pair.state.status > 0]
+    ξ = 2 * (x - zone.mean()) / np.ptp(zone)
+    inner = np.abs(ξ) < INNER
+    assert inner.sum() > 30
+    fit = np.polynomial.Polynomial.fit(ξ[inner], p[inner], 6)
+    return np.abs(p[inner] / fit(ξ[inner]) - 1).max()
+
+
+@pytest.mark.parametrize("slab_is_contactor", [False, True], ids=["punch", "slab"])
+@pytest.mark.parametrize("ratio", [1e-2, 1.0, 1e2])
+def test_pressures_do_not_oscillate(ratio, slab_is_contactor):
+    """Below 3 % (seen: 1.0 to 2.5 %, from facets that do not match), where the paper's equal order has 33 %."""
+    assert roughness(ratio, slab_is_contactor, multiplier_order=1) < 0.03
+
+
+def test_equal_orders_oscillate_where_the_contactor_is_the_stiffer_side():
+    assert roughness(1e2, False, multiplier_order=2) > 0.1

@@ -1,0 +1,45 @@
+"""A fixed dozen of the random scenes of benchmarks/robustness.py, at least one of each family, with its own checks."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from robustness import BALANCE, DEEPEST, UNFELT, march
+from robustness_scenes import FAMILIES, draw
+
+#: seed, number: quick ones; E of the upper body to the lower's from 1/130 (punch 11/0) to 640 (die), μ from 0 to 0.99 (half
+#: ring), up to 3.8 facets of sliding per increment; in four the lower body is the contactor
+SCENES = [(11, k) for k in (0, 1, 2, 3, 6, 11, 18, 26, 30, 38)] + [(21, 31), (22, 65)]
+
+
+@pytest.fixture(scope="module")
+def runs():
+    """What `march` says of each scene. Scenes live on one process; the ranks share them out."""
+    comm = MPI.COMM_WORLD
+    mine = {scene: march(draw(*scene)) for scene in SCENES[comm.rank :: comm.size]}
+    return {scene: run for part in comm.allgather(mine) for scene, run in part.items()}
+
+
+def test_every_family_is_there():
+    assert {draw(*scene).family for scene in SCENES} == set(FAMILIES)
+    ratios = [np.log10(s.upper.E / s.lower.E) for s in (draw(*scene) for scene in SCENES)]
+    assert min(ratios) < -2 and max(ratios) > 2
+
+
+@pytest.mark.parametrize("seed, number", SCENES, ids=[draw(*scene).name for scene in SCENES])
+def test_goes_through_and_passes_the_independent_checks(runs, seed, number):
+    """No point deep in the target, bodies that overlap push, contact and internal forces balance (to 1e-5, seen: 1e-12)."""
+    scene, run = draw(seed, number), runs[seed, number]
+    assert run["error"] is None
+    assert len(run["steps"]) == sum(stage.increments for stage in scene.stages)
+    assert run["penetration"] < DEEPEST
+    assert np.linalg.norm(run["forces"][-1]) > run["floor"] or run["penetration"] < UNFELT
+    assert run["balance"] is None or run["balance"] < BALANCE
+
+
+def test_next_to_no_step_is_rejected(runs):
+    assert sum(rejected for run in runs.values() for _, rejected, _ in run["steps"]) <= 1
