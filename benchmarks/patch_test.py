@@ -2,8 +2,8 @@
 
     ./run python3 benchmarks/patch_test.py
 
-Two blocks, 1 m × 0.5 m, St Venant–Kirchhoff, on rollers under a uniform pressure, the upper one the contactor: the largest relative
-error of the pressure at the contactor's points, for numbers of cells along the lower and the upper side of the interface.
+Two blocks, 1 m × 0.5 m, St Venant–Kirchhoff, on rollers under a uniform pressure, the upper one the contactor: the largest
+relative error of the pressure at the contactor's points, for numbers of cells along the two sides of the interface.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ def defect(order: int, cells: tuple[int, int], degree: int | None) -> tuple[floa
     for axis, value in ((0, 0.0), (1, -HEIGHT)):
         W = V.sub(axis).collapse()[0]
         facets = locate_entities_boundary(mesh, 1, lambda x, axis=axis, value=value: np.isclose(x[axis], value))
-        bcs.append(fem.dirichletbc(fem.Function(W), fem.locate_dofs_topological((V.sub(axis), W), 1, facets), V.sub(axis)))
+        bcs.append(
+            fem.dirichletbc(fem.Function(W), fem.locate_dofs_topological((V.sub(axis), W), 1, facets), V.sub(axis))
+        )
     p = fem.Constant(mesh, 0.0)
     on_top = ufl.conditional(ufl.gt(ufl.SpatialCoordinate(mesh)[1], 0.999 * HEIGHT), 1.0, 0.0)
     F = materials.saint_venant_kirchhoff(2e6, 0.3).virtual_work(u)
@@ -54,4 +56,7 @@ if __name__ == "__main__":
         for cells in ((6, 6), (5, 7), (7, 5), (16, 4), (16, 1)):
             found = [f"{defect(order, cells, degree)[0]:.1e}" for degree in DEGREES]
             error, points = defect(order, cells, None)
-            print(f"| {order} | {cells[0]}, {cells[1]} | " + " | ".join(found) + f" | {error:.1e} ({points}) |", flush=True)
+            print(
+                f"| {order} | {cells[0]}, {cells[1]} | " + " | ".join(found) + f" | {error:.1e} ({points}) |",
+                flush=True,
+            )

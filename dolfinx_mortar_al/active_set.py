@@ -121,10 +121,9 @@ class ActiveSet:
 
     # ---------------------------------------------------------------- friction bounds
 
-    def freeze(self, state: LawState) -> None:
-        """Hold the friction bound of closed points at its present value: Tresca's law, which has no stick–slip cycles."""
-        if state.bound is not None:
-            self.frozen = np.where(state.status != OPEN, state.bound, np.nan)
+    def freeze(self, state: LawState, μ: float) -> None:
+        """Hold the friction bound of closed points at its present μp: Tresca's law, which has no stick–slip cycles."""
+        self.frozen = np.where(state.status != OPEN, μ * np.maximum(state.p, 0.0), np.nan)
 
     def thaw(self) -> None:
         """Back to Coulomb's law."""

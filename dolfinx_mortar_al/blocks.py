@@ -7,6 +7,7 @@ follow each other on the same facets share an element matrix.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -201,7 +202,7 @@ class Blocks:
         columns = [*rows, (old, on_target, d)] if self.friction else rows
         all_facets = np.arange(len(self.contactor))
         Λ, own = (facet, self.multiplier.blocks, m), (all_facets, self.multiplier.blocks, m)
-        places = [(rows, columns), (rows, [Λ]), ([Λ], columns), ([own], [own])]
+        places: list[tuple[Any, Any]] = [(rows, columns), (rows, [Λ]), ([Λ], columns), ([own], [own])]
         return [[_zeros(i, j) for i in first for j in second] for first, second in places]
 
 

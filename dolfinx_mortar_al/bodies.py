@@ -207,12 +207,6 @@ class Bodies:
         """Back to a snapshot."""
         self.set(saved["u"])
 
-    def total(self, f: fem.Function) -> float:
-        """Sum of a Function's values over all dofs (collective)."""
-        V = f.function_space
-        mine = f.x.array[: V.dofmap.index_map.size_local * V.dofmap.index_map_bs]
-        return float(self.comm.allreduce(float(mine.sum())))
-
     def is_limp(self, diagonals: Sequence[fem.Function]) -> bool:
         """Whether a displacement that is not prescribed meets next to no stiffness (collective); see `stiffness`."""
         limp = False
@@ -300,16 +294,21 @@ class Bodies:
             k.array[part] = (diagonal.x.array * floating)[: part.stop - part.start]
         return k
 
-    def tension(self, pattern: tuple[Index, Index], stiffness: Sequence[float]) -> PETSc.Mat:
-        """What fictitious tensions add to the stiffness, scaled to have the trace `stiffness` (N/m) for each body."""
+    def tension(self, pattern: tuple[Index, Index], diagonals: Sequence[fem.Function]) -> PETSc.Mat:
+        """What fictitious tensions add to the stiffness, in shares of each node's own: of its largest diagonal entry (N/m),
+        so that a soft membrane beside a stiff one has a tension of its own size."""
         total = matrix_with_pattern(self.layout, pattern)
-        for body, map_, k in zip(self.bodies, self._maps, stiffness, strict=True):
-            A = total.duplicate()
-            A.setLGMap(map_, map_)
-            body.assemble_tension(A)
-            A.assemble()
-            trace = A.getDiagonal().sum()
-            total.axpy(k / trace, A, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        for body, map_ in zip(self.bodies, self._maps, strict=True):
+            total.setLGMap(map_, map_)
+            body.assemble_tension(total)
+            total.assemble(PETSc.Mat.AssemblyType.FLUSH)
+        total.assemble()
+        own, scale = total.getDiagonal(), self.layout.vector()
+        for diagonal, part in zip(diagonals, self._slices, strict=True):
+            k = np.repeat(diagonal.x.array.reshape(-1, self.gdim).max(axis=1), self.gdim)
+            scale.array[part] = k[: part.stop - part.start]
+        scale.array[:] = np.sqrt(scale.array_r / np.where(own.array_r > 0, own.array_r, np.inf))
+        total.diagonalScale(scale, scale)
         return total
 
 

@@ -53,9 +53,7 @@ def closest_in_facet(shape: ShapeFunctions, nodes: Array, x: Array, η: Array | 
     return _closest_on_patch(shape, nodes, x, η)
 
 
-def _closest_on_line(
-    shape: ShapeFunctions, nodes: Array, x: Array, η: Array, start: Array, direction: Array
-) -> Array:
+def _closest_on_line(shape: ShapeFunctions, nodes: Array, x: Array, η: Array, start: Array, direction: Array) -> Array:
     """Newton on s ∈ [0, 1] for the curve 𝐲(start + s direction) of each facet; returns η (n, dim)."""
     s = np.clip((η - start) @ direction / (direction @ direction), 0.0, 1.0)
     active = np.arange(len(s))
@@ -155,9 +153,7 @@ def project(target: GatheredFacets, positions: Array, x: Array, candidates: Inde
     return at
 
 
-def _at(
-    target: GatheredFacets, positions: Array, x: Array, point: TargetPoint
-) -> tuple[ClosestPoint, Index]:
+def _at(target: GatheredFacets, positions: Array, x: Array, point: TargetPoint) -> tuple[ClosestPoint, Index]:
     """Geometry of the target at known closest points, with the facet's own normal, and the points that lie on a side."""
     shape, n = target.shape, len(x)
     N, dN = shape.tabulate(point.η, 1)

@@ -295,7 +295,7 @@ class ContactPair(PairResults):
         self.active.guessed = bool(saved["guessed"])
         if isinstance(self.target, RigidTarget):
             self.target.obstacle.pose = Pose(saved["translation"], saved["rotation"])
-        self.kinematics.set_history(TargetPoint(saved["facet"].copy(), saved["η"].copy()))
+        self.kinematics.set_history(TargetPoint(saved["facet"].astype(np.int64), saved["η"].copy()))
         self.kinematics.evaluate()
         self.active.expect(saved["λN_hat"], self.kinematics, self.ε.normal)
 

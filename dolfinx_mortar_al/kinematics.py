@@ -151,7 +151,7 @@ class VelocityLevel(Kinematics):
 
     def evaluate(self) -> None:
         self.x, y = self.moving_points()
-        motion = ((self.x - self._x) - (y - self.step.y)) / self.θ
+        motion: Array = np.asarray(((self.x - self._x) - (y - self.step.y)) / self.θ, dtype=np.float64)
         self.at = replace(self.step, g=-np.einsum("ni,ni->n", self.step.ν, motion))
         self.s = motion if self.friction else None
 

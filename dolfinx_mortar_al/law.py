@@ -8,6 +8,7 @@ scalar multiplier λ_N only. Derivatives are linear maps of a few nodal variatio
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,8 +66,9 @@ class LawState:
 
     def take(self, index: NDArray[np.int64]) -> LawState:
         """The state at some of the points."""
-        values = [getattr(self, f.name) for f in fields(self)]
-        return LawState(*(None if v is None else v[index] for v in values))
+        values: list[Any] = [getattr(self, f.name) for f in fields(self)]
+        taken: list[Any] = [None if v is None else v[index] for v in values]
+        return LawState(*taken)
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -140,7 +142,7 @@ class Coulomb:
         p = np.where(closed, λN_hat, 0.0)
         λT_hat = augmented_tangential(Λ, s, ν, self.ε)
         size = np.linalg.norm(λT_hat, axis=1)
-        bound, slope = self.μ * np.maximum(p, 0.0), self.μ * (p > 0)
+        bound, slope = self.μ * np.maximum(p, 0.0), np.where(p > 0, self.μ, 0.0)
         if frozen is not None:
             free = np.isnan(frozen)
             bound, slope = np.where(free, bound, frozen), slope * free

@@ -25,7 +25,7 @@ __all__ = ["Finding", "ModelWarning", "Monitor", "Reporter", "ellipticity", "inv
 
 @dataclass(frozen=True)
 class Finding:
-    """The least value of a monitored quantity, below its bound; where (reference position, m; empty if nowhere in particular);
+    """The least value of a monitored quantity, below its bound; where (reference position, m; empty where there is no place);
     what it means."""
 
     name: str

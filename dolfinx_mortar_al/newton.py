@@ -32,7 +32,9 @@ SPRING = 1e-8  # of pieces that contact alone holds, as a share of their stiffne
 LEAST_SPRING = 1e-13  # what is left of it where a motion stays free, such as sliding without friction
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
 MAX_FREEZES = 20  # times that friction bounds are brought up to date in a solve
+NEARLY = 0.05  # error of frozen bounds, as a share of the largest μp, below which they are freed
 BOUND_TOLERANCE = 1e-6  # on a frozen friction bound, as a share of the largest μp
+WANDERS_AFTER = 8  # iterations without progress after which friction bounds are frozen
 HOPELESS_AFTER, HOPELESS = 16, 0.1  # as it is when five iterations in a row have relative residuals above this
 
 
@@ -158,6 +160,7 @@ class NewtonSolver:
         self.result = NewtonResult()
         self._patterns: list[int] = []
         self._cycles, self._damping, self._freezes = 0, 1.0, 0
+        self._law_since, self._freed = 0, False
         for pair in p.pairs:
             pair.begin()
         self._linear_start = perf_counter()
@@ -176,7 +179,10 @@ class NewtonSolver:
         if reason > 0:
             p.unpack(p.x)
             if p.inverted_volume() > 0:
-                self.result.converged, self.result.message = False, "an inverted cell (det F ≤ 0) in the converged state"
+                self.result.converged, self.result.message = (
+                    False,
+                    "an inverted cell (det F ≤ 0) in the converged state",
+                )
         else:
             self.result.message = (self.result.message or self._failure(reason)) + self._advice()
         return self._singular() if reason == _Reason.DIVERGED_LINEAR_SOLVE else self.result
@@ -196,7 +202,9 @@ class NewtonSolver:
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         self.problem.tension = self._fictitious_tension()
         norms = self.result.norms
-        self.problem.spring_share = SPRING * max(min(1.0, max(norms[-1]) / max(*norms[0], 1e-300)), LEAST_SPRING / SPRING)
+        self.problem.spring_share = SPRING * max(
+            min(1.0, max(norms[-1]) / max(*norms[0], 1e-300)), LEAST_SPRING / SPRING
+        )
         self.problem.assemble_jacobian()
         if self.problem.matrix.handle != A.handle:  # a new pattern
             snes.setJacobian(self._jacobian, self.problem.matrix)
@@ -225,10 +233,13 @@ class NewtonSolver:
             pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs
         ):
             pardoned = [pair.active.pardon(pair.state, pair.kinematics) for pair in self.problem.pairs]
-            return None if any(pardoned) or self._bounds_are_stale() else _Reason.CONVERGED_FNORM_ABS
+            return None if any(pardoned) or self._bounds_are_stale(iteration) else _Reason.CONVERGED_FNORM_ABS
         recent = [max(norms) * self.rtol for norms in self.result.norms[-5:]]
+        tries = iteration - self._law_since
+        if tries >= WANDERS_AFTER and min(recent) > HOPELESS and self._freeze(iteration):
+            return None
         patience = 2 * HOPELESS_AFTER if self.problem.limp else HOPELESS_AFTER
-        if iteration >= snes.getTolerances()[3] or (iteration >= patience and min(recent) > HOPELESS):
+        if iteration >= snes.getTolerances()[3] or (tries >= patience and min(recent) > HOPELESS):
             return _Reason.DIVERGED_MAX_IT  # a long walk of the contact's edge, one facet at a time, may go on
         return self._watch_pattern(iteration)
 
@@ -262,33 +273,36 @@ class NewtonSolver:
             if self._cycles > MAX_CYCLES:
                 self.result.message = f"the contact state cycles, {self.problem.flipping_points()}"
                 return _Reason.DIVERGED_LOCAL_MIN
-            if not self._freeze():
+            if not self._freeze(iteration):
                 self._damping = 0.5
                 for pair in self.problem.pairs:
                     pair.active.patience *= 10.0
         self._patterns.append(pattern)
         return None
 
-    def _freeze(self) -> bool:
+    def _freeze(self, iteration: int) -> bool:
         """Freeze the friction bounds; whether there were any that were free."""
         free = [pair for pair in self.problem.pairs if pair.contact.friction and pair.active.frozen is None]
         for pair in free:
-            pair.active.freeze(pair.state)
+            pair.active.freeze(pair.state, pair.contact.friction)
+        self._law_since = iteration if free else self._law_since
         return bool(free)
 
-    def _bounds_are_stale(self) -> bool:
-        """A state has converged with friction bounds that were frozen and are not μp: free them once, and if the cycle comes
-        back go on with bounds brought up to date (a fixed point of Tresca's problems)."""
+    def _bounds_are_stale(self, iteration: int) -> bool:
+        """A state has converged with friction bounds that were frozen and are not μp: bring them up to date (a fixed point of
+        Tresca's problems), or free them, once, as soon as they are nearly right."""
         pairs = [pair for pair in self.problem.pairs if pair.active.frozen is not None]
-        if all(pair.active.staleness(pair.state, pair.contact.friction) <= BOUND_TOLERANCE for pair in pairs):
+        stale = max([pair.active.staleness(pair.state, pair.contact.friction) for pair in pairs], default=0.0)
+        if stale <= BOUND_TOLERANCE:
             return False
-        self._freezes += 1
+        free, self._freezes = stale < NEARLY and not self._freed, self._freezes + 1
+        self._freed |= free
         for pair in pairs:
-            if self._freezes == 1:
+            if free:
                 pair.active.thaw()
             else:
-                pair.active.freeze(pair.state)
-        self._patterns, self._cycles = [], 0
+                pair.active.freeze(pair.state, pair.contact.friction)
+        self._patterns, self._cycles, self._law_since = [], 0, iteration
         self.problem.reconsider(self.snes.getFunction()[0])
         return self._freezes <= MAX_FREEZES
 
@@ -379,7 +393,7 @@ class NewtonSolver:
             )
         elif any(sign < 0 for sign in self.result.signs):
             parts.append(
-                "the Jacobian's determinant is negative on the way: an unstable equilibrium (a limit or bifurcation point) is "
-                "near; follow it with quasistatic.follow, prescribe a displacement, or let the bodies move with dynamics.march"
+                "the Jacobian's determinant is negative on the way: an unstable equilibrium (a limit or bifurcation point) "
+                "is near; follow it with quasistatic.follow, prescribe a displacement, or let it move with dynamics.march"
             )
         return "".join(f"; {part}" for part in parts)

@@ -48,7 +48,7 @@ def floating_pieces(V: fem.FunctionSpace, prescribed: fem.Function, stiffness: P
     held = prescribed.x.array[: owned * d].reshape(-1, d) > 0
     scale = stiffness.getDiagonal().max()[1]
     pieces = []
-    for number in sorted(set().union(*comm.allgather(set(label[:owned].tolist())))):
+    for number in sorted(set().union(*comm.allgather(set(map(int, label[:owned]))))):
         mine = label[:owned] == number
         total = comm.allreduce(np.r_[mine.sum(), X[mine].sum(axis=0)], MPI.SUM)
         centre = total[1:] / total[0]
@@ -71,7 +71,7 @@ def _energy(A: PETSc.Mat, mode: Array) -> float:
 
 
 def _labels(V: fem.FunctionSpace) -> Index:
-    """(nodes,) the piece of each node of this rank, ghosts included: the largest global number of a node in it (collective)."""
+    """(nodes,) the piece of each node of this rank, ghosts included: the largest global number in it (collective)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

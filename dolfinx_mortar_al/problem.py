@@ -126,7 +126,7 @@ class ContactProblem:
         self.blocks: list[list[Any]] = [[None] * n for _ in range(n)]
         diagonals, self._bulk_pattern = self.bodies.stiffness()
         self.blocks[0][0] = matrix_with_pattern(self.bodies.layout, self._bulk_pattern)
-        self._traces = [self.bodies.total(d) for d in diagonals]
+        self._diagonals = diagonals
         #: some unprescribed displacement meets no stiffness, as a flat membrane's across it; until a step has converged
         self.limp = self.bodies.is_limp(diagonals)
         #: a fictitious tension in the Jacobian, as a share of the stiffness (no part of the residual)
@@ -277,13 +277,14 @@ class ContactProblem:
 
     def _add_tension(self) -> None:
         if self._tension_matrix is None:
-            self._tension_matrix = self.bodies.tension(self._bulk_pattern, self._traces)
+            self._tension_matrix = self.bodies.tension(self._bulk_pattern, self._diagonals)
         A = self.blocks[0][0]
         A.assemble()
         A.axpy(self.tension, self._tension_matrix, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
     def _add_springs(self) -> None:
         A, k = self.blocks[0][0], self.springs
+        assert k is not None
         A.assemble()
         mine = np.arange(*A.getOwnershipRange(), dtype=np.int32)[:, None]
         A.setValuesRCV(mine, mine, self.spring_share * k.array_r[:, None, None], _ADD)

@@ -29,8 +29,8 @@ UNSTABLE = Finding(
     "determinant of the Jacobian",
     -1.0,
     (),
-    "this equilibrium is unstable: a real body would leave it; follow the path with quasistatic.follow or let the bodies move "
-    "with dynamics.march",
+    "this equilibrium is unstable: a real body would leave it; follow the path with quasistatic.follow or let the bodies "
+    "move with dynamics.march",
     False,
 )
 

@@ -96,7 +96,9 @@ def hits(
     c = (nodes[facet] - x[row, None]) @ across[row]  # the line is the origin
     by_node = np.swapaxes(c, 0, 1).copy()  # NumPy is slow along a short axis that is not the first
     low, high = by_node.min(axis=0), by_node.max(axis=0)
-    slack = (0.25 if shape.order > 1 else 1e-9) * (high - low)  # a curve leaves its nodes' box
+    slack = (0.35 if shape.order > 1 else 1e-9) * (
+        high - low
+    )  # a curve leaves its nodes' box, a patch by a third at most
     near = ((low <= slack) & (high >= -slack)).all(axis=1)
     row, facet, c = row[near], facet[near], c[near]
     if shape.dim == 1:

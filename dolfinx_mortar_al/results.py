@@ -20,8 +20,8 @@ __all__ = ["PairResults"]
 Array = NDArray[np.float64]
 
 FINER = (
-    "the target is finer than the contactor's integration points, which miss some of its facets: the pressure is inaccurate; swap "
-    "contactor and target, refine the contactor or raise quadrature_degree"
+    "the target is finer than the contactor's integration points, which miss some of its facets: the pressure is "
+    "inaccurate; swap contactor and target, refine the contactor or raise quadrature_degree"
 )
 AT_END = 0.1  # weight of the other nodes where a point counts as at the target's end
 
@@ -113,7 +113,11 @@ class PairResults:
         k = int(np.argmin(ratio)) if len(ratio) else -1
         mine = (float(ratio[k]), tuple(self.points()[closed[k]].tolist())) if len(ratio) else (np.inf, ())
         value, X = min(self.comm.allgather(mine))
-        return None if value >= 1.0 else Finding(f"{self.name}: target facets per point's distance", value, X, FINER, False)
+        return (
+            None
+            if value >= 1.0
+            else Finding(f"{self.name}: target facets per point's distance", value, X, FINER, False)
+        )
 
     def reaches_end(self) -> bool:
         """Whether a point is closed at the very end of the contactor or of the target (collective)."""

@@ -55,7 +55,8 @@ def candidates(x: Array, facets: Array, margin: float) -> Index:
         margin: allowance for motion (m).
     """
     centre, radius = _balls(facets)
-    rows, columns = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
+    rows: list[Index] = [np.empty(0, dtype=np.int64)]
+    columns: list[Index] = [np.empty(0, dtype=np.int64)]
     origin = centre.mean(axis=0)
     for part, squared in _squared_distances(x - origin, centre - origin):
         distance = np.sqrt(np.maximum(squared, 0.0))
@@ -68,8 +69,8 @@ def candidates(x: Array, facets: Array, margin: float) -> Index:
 
 
 def ray_candidates(x: Array, normal: Array, facets: Array, margin: float) -> tuple[Index, Array]:
-    """(n, k) facets within `margin` (m) of the lines through 𝐱 along `normal`, padded with −1; and (n,) how far along the
-    line the farthest of them is (m).
+    """(n, k) facets within `margin` (m) of the lines through 𝐱 along `normal`, padded with −1; and (n,) a length (m) that
+    turns of a line are multiplied with: to its farthest facet, or twice to the nearest facet, on the line or not.
 
     Args:
         x: (n, gdim) points; normal: (n, gdim) unit vectors.
@@ -79,10 +80,13 @@ def ray_candidates(x: Array, normal: Array, facets: Array, margin: float) -> tup
     origin = centre.mean(axis=0)
     centre, x = centre - origin, x - origin
     along_facets, along_points = centre @ normal.T, np.einsum("ni,ni->n", x, normal)
-    rows, columns, reach = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], np.zeros(len(x))
+    rows: list[Index] = [np.empty(0, dtype=np.int64)]
+    columns: list[Index] = [np.empty(0, dtype=np.int64)]
+    reach = np.zeros(len(x))
     for part, squared in _squared_distances(x, centre):
         along = along_facets[:, part].T - along_points[part, None]
         i, j = np.nonzero(squared - along**2 <= (radius + margin) ** 2)
+        reach[part] = 2 * np.sqrt(np.maximum(squared.min(axis=1), 0.0))
         np.maximum.at(reach, part.start + i, np.abs(along[i, j]))
         rows.append(part.start + i)
         columns.append(j)

@@ -87,17 +87,12 @@ def test_corners_in_the_middle_of_a_facet(swap, sides):
     assert np.allclose(forces, FORCE, rtol=0.1)
 
 
-#: frictionless points flip between the facets that meet in a vertex, where the closest point's normal jumps by 1e-5
-FLIPS = pytest.mark.xfail(strict=True, raises=quasistatic.StepFailure, reason="kink of the closest point's normal")
-
-
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(
     "projection, friction",
     [
         ("rays", 0.0),
         ("rays", 0.3),
-        pytest.param("closest", 0.0, marks=FLIPS),
         ("closest", 0.3),
     ],
 )

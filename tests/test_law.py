@@ -12,9 +12,7 @@ def point_geometry(ν, g):
     n = len(g)
     none = np.zeros((n, 0))
     facing = np.ones(n, dtype=bool)
-    return Projection(
-        TargetPoint(np.zeros(n, int), none), facing, none, none, none, none, ν, g
-    )
+    return Projection(TargetPoint(np.zeros(n, int), none), facing, none, none, none, none, ν, g)
 
 
 def slow_law(Λ, ν, g, s, μ, ε):

@@ -197,7 +197,6 @@ def test_kept_candidates_give_the_hits_of_all_facets(cell):
     assert 1 < search.rebuilds < 30  # the table was kept now and then, and renewed
 
 
-@pytest.mark.xfail(strict=True, reason="RaySearch: facets beyond the reach of a table come near as the ray turns")
 def test_a_ray_that_turns_to_the_target_is_seen():
     """It passed all facets at first: no facet was near it, none says how little it may turn."""
     surface = curved_surface("line", 1)
