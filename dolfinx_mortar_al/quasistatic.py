@@ -206,7 +206,7 @@ class _Stepper:
         self.easy, self._message = result.iterations <= EASY, result.message
         self.cut = CUT if result.residual < HOPELESS else CUT_HOPELESS
         self._findings = self.problem.findings() if result.converged else []
-        if result.converged and result.unstable:
+        if result.converged and result.unstable and not self.problem.floating:  # neutral, where nothing resists a slide
             self._findings.append(UNSTABLE)
         fatal = [str(f) for f in self._findings if f.fatal]
         if fatal:

@@ -1,0 +1,138 @@
+"""What holds a body: contact alone, nothing, an unstable equilibrium; and findings and failures that say so."""
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from scenes import beams, blocks, contact_of, octant
+
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, obstacles, output, quasistatic
+from exact.balloon import Balloon
+from meshes.two_beams import UPPER, TwoBeams
+
+LOAD = 1e4  # N/m³, dead
+
+
+def loose_block(*, gap=0.0, friction=0.3, tilt=0.0, comm=MPI.COMM_WORLD):
+    """A block without any condition, above a slab held at its bottom, under a dead load along (tilt, −1)."""
+    domain, cells, tags = TwoBeams(length=1.0, height=0.5, along=(7, 5), across=3, gap=gap).create(comm)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u, load = fem.Function(V), fem.Constant(domain, 0.0)
+    bottom = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], -0.5))
+    held = fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, bottom), V)
+    dx = ufl.Measure("dx", domain, subdomain_data=cells)
+    F = materials.neo_hookean(1e5, 0.3).virtual_work(u, dx=dx)
+    F -= load * ufl.dot(ufl.as_vector([tilt, -1.0]), ufl.TestFunction(V)) * dx(UPPER)
+    return ContactProblem(F, u, bcs=[held], contacts=[contact_of(domain, tags, friction=friction)]), load
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("gap", [0.0, 0.01, 0.7])
+def test_a_block_that_nothing_holds_falls_on_its_slab(gap, friction):
+    """Contact carries the load to the last digit, whatever the gap; it does not move sideways. 0.7 m are five facets."""
+    problem, load = loose_block(gap=gap, friction=friction)
+    (step,) = quasistatic.march(problem, load, to=LOAD, increments=1)
+    assert len(problem.floating) == 1 and "around X = [0.5" in str(problem.floating[0])
+    assert step.rejected == 0 and step.iterations <= 15
+    assert problem.pairs[0].force() == pytest.approx([0.0, 0.5 * LOAD], abs=1e-6 * LOAD)
+    assert problem.pairs[0].closed_fraction() == 1.0
+
+
+def test_friction_holds_a_pushed_block_and_none_does_not():
+    """tan = 0.2 < μ = 0.3 sticks; without friction there is no equilibrium, and the error says which body it is."""
+    problem, load = loose_block(tilt=0.2)
+    assert [s.rejected for s in quasistatic.march(problem, load, to=LOAD, increments=1)] == [0]
+    assert problem.pairs[0].force() == pytest.approx([-0.1 * LOAD, 0.5 * LOAD], rel=1e-6)
+    problem, load = loose_block(tilt=0.2, friction=0.0)
+    with pytest.raises(quasistatic.StepFailure, match=r"contact alone holds the body around X = \[0.5"):
+        list(quasistatic.march(problem, load, to=LOAD, increments=1, smallest=0.5))
+
+
+def test_what_conditions_or_inertia_hold_does_not_float():
+    problem, _ = beams()
+    assert problem.floating == []
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, 3, 3)
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    motion = dynamics.Motion(u, materials.neo_hookean(1e5, 0.3), density=1.0, step=1e-3)
+    assert ContactProblem(motion.residual, u).floating == []
+    assert len(ContactProblem(materials.neo_hookean(1e5, 0.3).virtual_work(u), u).floating) == 1
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_symmetry_plane_between_rigid_plates_with_friction(order):
+    """u_x = 0 on one side of a block between plates: its stuck corner nodes leave nothing to enforce along the plates.
+    The contact forces balance each other."""
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [[0, 0], [1, 1]], [6, 6], mesh.CellType.quadrilateral)
+    V = fem.functionspace(domain, ("Lagrange", order, (2,)))
+    u, W = fem.Function(V), V.sub(0).collapse()[0]
+    facets, marks = [], []
+    for tag, y in ((1, 0.0), (2, 1.0)):
+        found = mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y))
+        facets, marks = [*facets, *found], [*marks, *[tag] * len(found)]
+    tags = mesh.meshtags(domain, 1, np.sort(facets).astype(np.int32), np.array(marks, dtype=np.int32)[np.argsort(facets)])
+    left = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[0], 0.0))
+    symmetry = fem.dirichletbc(fem.Function(W), fem.locate_dofs_topological((V.sub(0), W), 1, left), V.sub(0))
+    lower, upper = obstacles.RigidPlane([0, 0], [0, 1]), obstacles.RigidPlane([0, 1], [0, -1])
+    contacts = [Contact(Surface(domain, tags, k), plane, friction=0.3) for k, plane in ((1, lower), (2, upper))]
+    problem = ContactProblem(materials.neo_hookean(1e5, 0.3).virtual_work(u), u, bcs=[symmetry], contacts=contacts)
+    steps = list(quasistatic.march(problem, lambda t: upper.move([0.0, -t]), to=0.2, increments=5, start=0.0))
+    assert sum(s.rejected for s in steps) == 0 and sum(s.iterations for s in steps) <= 30
+    bottom, top = (pair.force() for pair in problem.pairs)
+    assert bottom[1] > 2e4 and bottom[1] == pytest.approx(-top[1], rel=1e-8)
+
+
+def test_the_unstable_branch_of_a_balloon_is_named():
+    """Past its limit point the balloon's determinant is negative; before, no step says so."""
+    problem, p = octant()
+    limit = Balloon().limit()[0]
+    unstable = {}
+    with pytest.warns(UserWarning, match="this equilibrium is unstable") if problem.comm.rank == 0 else _nothing():
+        for step in quasistatic.follow(problem, p, first=200.0, length=0.1, steps=9):
+            stretch = 1 + output.probe(problem.u, [0.0, 0.0, 1.0])[2]
+            unstable[stretch] = any("unstable" in finding.meaning for finding in step.findings)
+    below = [said for stretch, said in unstable.items() if stretch < limit - 0.1]
+    beyond = [said for stretch, said in unstable.items() if stretch > limit + 0.1]
+    assert not any(below) and len(beyond) > 0 and all(beyond)
+
+
+class _nothing:
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        return None
+
+
+def test_points_too_few_for_a_fine_target_are_reported():
+    """One point for three target facets is a finding of the step; by default there are two for each."""
+    problem, p = blocks(order=1, cells=(16, 2), quadrature_degree=2)
+    with pytest.warns(UserWarning, match="the target is finer") if problem.comm.rank == 0 else _nothing():
+        (step,) = quasistatic.march(problem, p, to=2e4, increments=1)
+    assert len(step.findings) == 1 and step.findings[0].value < 1.0
+    problem, p = blocks(order=1, cells=(16, 2))
+    (step,) = quasistatic.march(problem, p, to=2e4, increments=1)
+    assert step.findings == () and np.allclose(problem.pairs[0].state.p, 2e4, rtol=0.02)
+
+
+def test_a_prediction_with_inverted_cells_is_dropped():
+    """A block crushed by a plate in two uneven steps: extrapolation turns cells inside out, the march goes on."""
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u = fem.Function(V)
+    bottom, top = (mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (0.0, 1.0))
+    down = fem.Constant(domain, (0.0, 0.0))
+    bcs = [
+        fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, bottom), V),
+        fem.dirichletbc(down, fem.locate_dofs_topological(V, 1, top), V),
+    ]
+    problem = ContactProblem(materials.neo_hookean(1e5, 0.3).virtual_work(u), u, bcs=bcs)
+    dropped = []
+    check = problem.inverted_volume
+    problem.inverted_volume = lambda: dropped.append(check()) or dropped[-1]
+
+    def crush(t):
+        down.value[1] = -0.9 * t**0.25  # steep at first: a line through the first two states goes beyond the bottom
+
+    last = list(quasistatic.march(problem, crush, to=1.0, increments=2, start=0.0))[-1]
+    assert last.load == 1.0 and max(dropped) > 0 and check() == 0
