@@ -179,10 +179,8 @@ class NewtonSolver:
         if reason > 0:
             p.unpack(p.x)
             if p.inverted_volume() > 0:
-                self.result.converged, self.result.message = (
-                    False,
-                    "an inverted cell (det F ≤ 0) in the converged state",
-                )
+                self.result.converged = False
+                self.result.message = "an inverted cell (det F ≤ 0) in the converged state"
         else:
             self.result.message = (self.result.message or self._failure(reason)) + self._advice()
         return self._singular() if reason == _Reason.DIVERGED_LINEAR_SOLVE else self.result
@@ -201,10 +199,8 @@ class NewtonSolver:
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         self.problem.tension = self._fictitious_tension()
-        norms = self.result.norms
-        self.problem.spring_share = SPRING * max(
-            min(1.0, max(norms[-1]) / max(*norms[0], 1e-300)), LEAST_SPRING / SPRING
-        )
+        first, last = max(self.result.norms[0]), max(self.result.norms[-1])
+        self.problem.spring_share = max(SPRING * min(1.0, last / max(first, 1e-300)), LEAST_SPRING)
         self.problem.assemble_jacobian()
         if self.problem.matrix.handle != A.handle:  # a new pattern
             snes.setJacobian(self._jacobian, self.problem.matrix)
@@ -233,7 +229,12 @@ class NewtonSolver:
             pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs
         ):
             pardoned = [pair.active.pardon(pair.state, pair.kinematics) for pair in self.problem.pairs]
-            return None if any(pardoned) or self._bounds_are_stale(iteration) else _Reason.CONVERGED_FNORM_ABS
+            if not any(pardoned) and not self._bounds_are_stale(iteration):
+                return _Reason.CONVERGED_FNORM_ABS
+            if self._freezes > MAX_FREEZES:
+                self.result.message = f"the friction bounds do not come to rest after {MAX_FREEZES} rounds"
+                return _Reason.DIVERGED_LOCAL_MIN
+            return None
         recent = [max(norms) * self.rtol for norms in self.result.norms[-5:]]
         tries = iteration - self._law_since
         if tries >= WANDERS_AFTER and min(recent) > HOPELESS and self._freeze(iteration):
@@ -304,7 +305,7 @@ class NewtonSolver:
                 pair.active.freeze(pair.state, pair.contact.friction)
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         self.problem.reconsider(self.snes.getFunction()[0])
-        return self._freezes <= MAX_FREEZES
+        return True
 
     def _guard(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Shorten the step x ← x − y until no cell is inverted and no closed point slides too far."""
