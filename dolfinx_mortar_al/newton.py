@@ -34,7 +34,10 @@ MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
 MAX_FREEZES = 20  # times that friction bounds are brought up to date in a solve
 NEARLY = 0.05  # error of frozen bounds, as a share of the largest μp, below which they are freed
 BOUND_TOLERANCE = 1e-6  # on a frozen friction bound, as a share of the largest μp
-WANDERS_AFTER = 8  # iterations without progress after which friction bounds are frozen
+WANDERS_AFTER, SETTLED = (
+    8,
+    3,
+)  # iterations without progress, the last with no point opened or closed: then bounds are frozen
 HOPELESS_AFTER, HOPELESS = 16, 0.1  # as it is when five iterations in a row have relative residuals above this
 
 
@@ -160,7 +163,7 @@ class NewtonSolver:
         self.result = NewtonResult()
         self._patterns: list[int] = []
         self._cycles, self._damping, self._freezes = 0, 1.0, 0
-        self._law_since, self._freed = 0, False
+        self._law_since, self._set_since, self._freed = 0, 0, False
         for pair in p.pairs:
             pair.begin()
         self._linear_start = perf_counter()
@@ -237,7 +240,8 @@ class NewtonSolver:
             return None
         recent = [max(norms) * self.rtol for norms in self.result.norms[-5:]]
         tries = iteration - self._law_since
-        if tries >= WANDERS_AFTER and min(recent) > HOPELESS and self._freeze(iteration):
+        settled = iteration - self._set_since >= SETTLED
+        if tries >= WANDERS_AFTER and settled and min(recent) > HOPELESS and self._freeze(iteration):
             return None
         patience = 2 * HOPELESS_AFTER if self.problem.limp else HOPELESS_AFTER
         if iteration >= snes.getTolerances()[3] or (tries >= patience and min(recent) > HOPELESS):
@@ -261,7 +265,8 @@ class NewtonSolver:
 
     def _update(self, snes: PETSc.SNES, iteration: int) -> None:
         """At the start of an iteration the active sets change, and the residual with them."""
-        self.problem.decide(snes.getFunction()[0])
+        if self.problem.decide(snes.getFunction()[0]):
+            self._set_since = iteration
 
     def _watch_pattern(self, iteration: int) -> int | None:
         """When the open/slip/stick pattern comes back to an earlier one: freeze the friction bounds, under which stick and

@@ -215,16 +215,18 @@ class ContactProblem:
             parts[0].assemble()
             f.assemble()
 
-    def decide(self, f: PETSc.Vec) -> None:
-        """Let the active sets change, once per Newton iteration, and bring the residual f up to date with them."""
+    def decide(self, f: PETSc.Vec) -> bool:
+        """Let the active sets change, once per Newton iteration, and bring the residual f up to date with them; whether any
+        point opened or closed (collective)."""
         parts = f.getNestSubVecs()
         with self.stopwatch("contact"):
             changed = [pair.decide(part) for pair, part in zip(self.pairs, parts[1:], strict=True)]
             if not any(changed):
-                return
+                return False
             for pair in self.pairs:
                 pair.apply_law()
         self._add_contact(f)
+        return True
 
     def reconsider(self, f: PETSc.Vec) -> None:
         """Bring the residual f up to date with friction bounds that were frozen or freed."""

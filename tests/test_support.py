@@ -70,7 +70,9 @@ def test_a_symmetry_plane_between_rigid_plates_with_friction(order):
     for tag, y in ((1, 0.0), (2, 1.0)):
         found = mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y))
         facets, marks = [*facets, *found], [*marks, *[tag] * len(found)]
-    tags = mesh.meshtags(domain, 1, np.sort(facets).astype(np.int32), np.array(marks, dtype=np.int32)[np.argsort(facets)])
+    tags = mesh.meshtags(
+        domain, 1, np.sort(facets).astype(np.int32), np.array(marks, dtype=np.int32)[np.argsort(facets)]
+    )
     left = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[0], 0.0))
     symmetry = fem.dirichletbc(fem.Function(W), fem.locate_dofs_topological((V.sub(0), W), 1, left), V.sub(0))
     lower, upper = obstacles.RigidPlane([0, 0], [0, 1]), obstacles.RigidPlane([0, 1], [0, -1])
