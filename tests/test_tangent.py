@@ -17,7 +17,7 @@ CASES = [
     for triangles in (False, True)
     for order in (1, 2)
     for friction in (0.0, 0.8)
-    for rule in RULES[: 2 if dim == 3 else 4]
+    for rule in RULES
     if rule[1] <= order
 ]  # fmt: skip
 
