@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter
+from typing import ClassVar
 
 import numpy as np
 from dolfinx import fem
@@ -26,6 +27,7 @@ _Reason = PETSc.SNES.ConvergedReason
 FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane's stiffness in its own plane
 LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, as a share of the largest pressure
 LONGEST = 4.0  # target facets that a closed point may move over the target in one iteration
+WORKSPACE, TOO_LITTLE_WORKSPACE = 100, (-8, -9)  # % that MUMPS gets beside its estimate; its codes for "not enough"
 EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
 ROUND_OFF = 100.0  # multiples of the tolerance in which a residual that stands still counts as round-off
 SPRING = 1e-8  # of pieces that contact alone holds, as a share of their stiffness, times the relative residual
@@ -120,11 +122,15 @@ class NewtonSolver:
         prefix: of the PETSc options.
     """
 
+    #: options that are defaults of ours, not the user's: PETSc keeps them from one solver to the next
+    _defaulted: ClassVar[set[str]] = set()
+
     def __init__(
         self, problem: ContactProblem, *, rtol: float = 1e-9, max_iterations: int = 80, prefix: str = "contact_"
     ) -> None:
         self.problem, self.rtol = problem, rtol
         self._max_iterations, self._prefix = max_iterations, prefix
+        self._workspace = WORKSPACE
         self.snes = self._create()
 
     def _create(self) -> PETSc.SNES:
@@ -143,14 +149,16 @@ class NewtonSolver:
         ksp.getPC().setFactorSolverType("mumps")
         # Full steps, guarded: with changes of contact state the norm of the residual says little about progress.
         # MUMPS: the blocks are scaled already (8: 0); minimum fill is the quickest analysis of plane problems (7: 2).
-        # 33: 1 gives the determinant, whose sign tells stable equilibria from unstable ones.
+        # 33: 1 gives the determinant, whose sign tells stable equilibria from unstable ones. 14: spare workspace, in %.
         defaults = {"snes_linesearch_type": "basic", "mat_mumps_icntl_8": 0, "mat_mumps_icntl_33": 1}
+        defaults |= {"mat_mumps_icntl_14": self._workspace}
         defaults |= {"mat_mumps_icntl_7": 2} if problem.gdim == 2 else {}
         _read_command_line(prefix)
         options = PETSc.Options(prefix)
         for name, value in defaults.items():
-            if not options.hasName(name):
+            if not options.hasName(name) or prefix + name in self._defaulted:
                 options[name] = value
+                self._defaulted.add(prefix + name)
         snes.setFromOptions()
         return snes
 
@@ -189,10 +197,17 @@ class NewtonSolver:
         return self._singular() if reason == _Reason.DIVERGED_LINEAR_SOLVE else self.result
 
     def _singular(self) -> NewtonResult:
-        """A failed solve after which MUMPS' object cannot be used again; the next one has a fictitious tension's help."""
+        """A failed solve after which MUMPS' object cannot be used again. The next one has a fictitious tension's help, or more
+        workspace if that was all that was missing: pivoting may need more than the analysis foresaw."""
+        pc = self.snes.getKSP().getPC()
+        said = pc.getFactorMatrix().getMumpsInfog(1) if pc.getFactorSolverType() == "mumps" else 0
+        if said in TOO_LITTLE_WORKSPACE:
+            self._workspace *= 4
+            self.result.message = f"MUMPS ran out of workspace; it has {self._workspace} % more from now on"
+        else:
+            self.problem.limp = True
+            self.result.message = "the Jacobian is singular: some displacement meets no stiffness" + self._advice()
         self.snes = self._create()
-        self.problem.limp = True
-        self.result.message = "the Jacobian is singular: some displacement meets no stiffness" + self._advice()
         return self.result
 
     # ---------------------------------------------------------------- callbacks
