@@ -197,8 +197,8 @@ class NewtonSolver:
         return self._singular() if reason == _Reason.DIVERGED_LINEAR_SOLVE else self.result
 
     def _singular(self) -> NewtonResult:
-        """A failed solve after which MUMPS' object cannot be used again. The next one has a fictitious tension's help, or more
-        workspace if that was all that was missing: pivoting may need more than the analysis foresaw."""
+        """A failed solve after which MUMPS' object cannot be used again. The next one has a fictitious tension's help, or
+        more workspace if that was all that was missing: pivoting may need more than the analysis foresaw."""
         pc = self.snes.getKSP().getPC()
         said = pc.getFactorMatrix().getMumpsInfog(1) if pc.getFactorSolverType() == "mumps" else 0
         if said in TOO_LITTLE_WORKSPACE:
