@@ -263,14 +263,27 @@ class Bodies:
             body.assemble_jacobian(A)
             A.assemble(PETSc.Mat.AssemblyType.FLUSH)
 
-    def assemble(self, forms: Sequence[Any]) -> PETSc.Mat:
-        """A matrix of all displacement unknowns from one bilinear form per body, without Dirichlet conditions."""
+    def masses(self, forms: Sequence[Any]) -> tuple[PETSc.Mat, list[fem.Function]]:
+        """The matrix of one bilinear form per body, Dirichlet rows and columns zero with a unit diagonal, and the diagonal
+        for each body."""
         A = empty_matrix(self.layout, self.layout)
-        for form, map_ in zip(forms, self._maps, strict=True):
+        for body, form, map_ in zip(self.bodies, forms, self._maps, strict=True):
             A.setLGMap(map_, map_)
-            dolfinx_petsc.assemble_matrix(A, form)
+            dolfinx_petsc.assemble_matrix(A, form, bcs=body.bcs)
         A.assemble()
-        return A
+        diagonal, diagonals = A.getDiagonal(), [fem.Function(body.space) for body in self.bodies]
+        self.spread(diagonal.array_r, diagonals)
+        return A, diagonals
+
+    def owned(self, fields: Sequence[fem.Function]) -> Array:
+        """(owned dofs,) values of one Function per body."""
+        return np.concatenate([f.x.array[: p.stop - p.start] for f, p in zip(fields, self._slices, strict=True)])
+
+    def spread(self, values: Array, fields: Sequence[fem.Function]) -> None:
+        """One Function per body from an array (owned dofs,), ghosts included."""
+        for f, part in zip(fields, self._slices, strict=True):
+            f.x.array[: part.stop - part.start] = values[part]
+            f.x.scatter_forward()
 
     def owned_positions(self) -> Array:
         """(owned nodes, gdim) reference positions of this rank's nodes in the common numbering (m)."""

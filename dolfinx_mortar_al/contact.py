@@ -21,12 +21,13 @@ from dolfinx_mortar_al.active_set import ActiveSet
 from dolfinx_mortar_al.blocks import Blocks, Tangent
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.integration import IntegrationPoints, default_degree
-from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, VelocityLevel
+from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel
 from dolfinx_mortar_al.law import OPEN, Augmentation, Coulomb, Frictionless
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.results import PairResults
+from dolfinx_mortar_al.step_level import StepLevel
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.surface import Facets, Surface
 from dolfinx_mortar_al.targets import DeformableTarget, RigidTarget, target_of
@@ -38,6 +39,7 @@ Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
 SOFTER = 0.1  # ε over the bulk's stiffness at the surface (docs/newton.md)
+FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,7 @@ class ContactPair(PairResults):
         fixed = self._at_nodes(self._body1.prescribed()) > 0
         components = self.gdim if friction else 1
         self.multiplier = MultiplierSpace(self.facets, contact.multiplier_order, components, self._redundant(fixed))
-        self.blocks = Blocks(self.integration, self.contactor_blocks, fixed, self.target, self.multiplier, friction)
+        self.blocks = Blocks(self.integration, self.contactor_blocks, fixed, self.target, self.multiplier)
         self.active = ActiveSet(self.blocks, self.comm)
 
     # ---------------------------------------------------------------- set-up
@@ -177,10 +179,10 @@ class ContactPair(PairResults):
         contactor = self.comm.allreduce(float(own.sum())) / count
         return min(contactor, self.target.stiffness(diagonals, self.contact.thickness))
 
-    def set_law(self, stiffness: float) -> None:
-        """Fix ε_N and ε_T: the user's, or the bulk's `stiffness` at the two surfaces (Pa/m)."""
+    def set_law(self, stiffness: float, share: float = SOFTER) -> None:
+        """Fix ε_N and ε_T: the user's, or a `share` of the bulk's `stiffness` at the two surfaces (Pa/m)."""
         c = self.contact
-        default = SOFTER * stiffness
+        default = share * stiffness
         εN = default if c.epsilon_normal is None else c.epsilon_normal
         εT = default if c.epsilon_tangential is None else c.epsilon_tangential
         self.stiffness, self.unit = stiffness, default
@@ -254,7 +256,7 @@ class ContactPair(PairResults):
         """How far the present displacements have moved closed points over the target since the last evaluation, in
         target facets (collective)."""
         k = self.kinematics
-        if isinstance(k, VelocityLevel):
+        if isinstance(k, StepLevel):  # the length of a time step is a better guard
             return 0.0
         self.target.refresh()
         moved = self.target.positions(k.at.point, k.at.N) - k.at.y
@@ -263,10 +265,12 @@ class ContactPair(PairResults):
 
     # ---------------------------------------------------------------- steps
 
-    def use_velocities(self, θ: float) -> VelocityLevel:
-        """Take the law between velocities, for Moreau's scheme with θ."""
-        self.kinematics = VelocityLevel(self.kinematics, θ)
-        self.active.cautious = False
+    def use_steps(self) -> StepLevel:
+        """Take the kinematics of time steps, for impact."""
+        if not isinstance(self.kinematics, StepLevel):
+            self.kinematics = StepLevel(self.kinematics)
+            self.active.cautious = False
+            self.set_law(self.stiffness, FIRMER)
         return self.kinematics
 
     def commit(self) -> None:
@@ -307,7 +311,7 @@ class ContactPair(PairResults):
 
     def body_residual(self) -> list[tuple[Index, Array]]:
         """−∫ t·(N1 U1* − N2(η) U2*) dS₀, eq. (4), as :meth:`Blocks.body_residual`."""
-        return self.blocks.body_residual(self.state, self.at)
+        return self.blocks.body_residual(self.state, self.kinematics)
 
     def _act(self) -> Index:
         """Points whose derivative is not that of an open point with ε_N = ε_T."""

@@ -1,9 +1,12 @@
-"""Impact by Moreau's θ-scheme, with an energy ledger (section 4.3, 4.4; Vola, Pratt, Jean and Raous 1998).
+"""Impact of deformable bodies: momentum, angular momentum and the energy balance exact, gaps held (``docs/impact.md``).
 
-    𝐮_{n+1} = 𝐮_n + Δt [θ 𝐯_{n+1} + (1−θ) 𝐯_n],     𝐌(𝐯_{n+1} − 𝐯_n)/Δt + 𝐆 = 𝐑,
+The mid-point rule with the energy-consistent internal force 𝐆 and the mean contact force 𝐑 of a step,
 
-𝐑 the mean contact force of the step under the law between velocities (`velocity.py`) and 𝐆 the internal force: θ-weighted,
-or the energy-consistent one. The unknown is 𝐮_{n+1}, so that bodies, contact pairs and Newton are those of statics.
+    𝐮_{n+1} = 𝐮_n + Δt [θ 𝐯* + (1−θ) 𝐯_n],     𝐌(𝐯* − 𝐯_n)/Δt + 𝐆 = 𝐑,
+
+with eq. (1) for the gap at the end of the step and the relative motion over it (`step_level`), so that contact and friction
+can only take energy; then 𝐯_{n+1} is 𝐯* made compatible with the contact that persists (`velocity_projection`). The unknown
+is 𝐮_{n+1}: bodies, contact pairs and Newton are those of statics.
 """
 
 from __future__ import annotations
@@ -16,14 +19,12 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.added_mass import AddedMass
-from dolfinx_mortar_al.contact import ContactPair
-from dolfinx_mortar_al.kinematics import VelocityLevel
 from dolfinx_mortar_al.monitors import Finding, Reporter
 from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.newton import NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot
 from dolfinx_mortar_al.quasistatic import StepFailure
+from dolfinx_mortar_al.velocity_projection import VelocityProjection
 
 __all__ = ["Ledger", "Motion", "Step", "march"]
 
@@ -31,17 +32,26 @@ Array = NDArray[np.float64]
 
 EASY = 8  # Newton iterations up to which a step that was cut may grow again
 RTOL = 1e-11  # of Newton: what is left over shows up in the ledger
+GAIN = (
+    1e-8  # of the total energy that contact may give in a step: what Newton's tolerance leaves, a thousand times over
+)
+GROWTH = 2.0  # of Δt from one step to the next at most, where the march chooses it
+SAFETY = 0.9  # of the Δt that would just meet the tolerance
+FAR = 2.0  # times the tolerance beyond which a step is repeated
 
 
 @dataclass(frozen=True)
 class Ledger:
     """Energies (J) and momenta at a time; what is not of the moment has been added up since the start.
 
-    kinetic + strain = initial energy + external_work − friction_dissipation − impact_loss + energy_defect.
+    kinetic + strain + contact = initial energy + external_work − friction_dissipation − impact_loss + energy_defect, where
+    `contact` is what the augmentation stores at the edges of contact (:meth:`ContactPair.stored_energy`), a share of
+    1e-4 and less; impact_loss and friction_dissipation never fall.
     """
 
     kinetic: float
     strain: float
+    contact: float = 0.0
     external_work: float = 0.0
     friction_dissipation: float = 0.0
     impact_loss: float = 0.0
@@ -49,12 +59,17 @@ class Ledger:
     momentum: tuple[float, ...] = ()
     angular_momentum: tuple[float, ...] = ()
 
+    @property
+    def total(self) -> float:
+        """Energy of the moment (J)."""
+        return self.kinetic + self.strain + self.contact
+
 
 @dataclass(frozen=True)
 class Step:
     """A converged step: time (s), Δt, Newton iterations (rejected trials included), rejected trials, wall time (s), whether
-    the time is one of the asked-for ones, the ledger, the mean contact force on each contactor (N), and what the monitors
-    found below their bounds."""
+    the time is one of the asked-for ones, the ledger, the mean contact force on each contactor (N), the largest penetration
+    of a closed point (m), and what the monitors found below their bounds."""
 
     time: float
     step: float
@@ -64,7 +79,19 @@ class Step:
     nominal: bool
     ledger: Ledger
     forces: tuple[Array, ...]
+    penetration: float
     findings: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What contact does in a step (J): on the bodies along the normal and along the surface, what obstacles put in, and what
+    is lost for good along the normal."""
+
+    normal: float
+    tangential: float
+    by_obstacles: float
+    lost: float
 
 
 def march(
@@ -74,36 +101,37 @@ def march(
     to: float,
     start: float = 0.0,
     move: Callable[[float], None] | None = None,
-    redistribute: bool = False,
+    tolerance: float | None = None,
     solver: NewtonSolver | None = None,
     smallest: float = 2.0**-10,
     ledger: Ledger | None = None,
 ) -> Iterator[Step]:
-    """Moreau's scheme from `start` to `to`, with steps of the motions' Δt; yields each converged step.
+    """Move bodies from `start` to `to`, with steps of the motions' Δt; yields each converged step.
 
-    A step that fails is undone, velocities and impulses included, and tried again with half of Δt, which grows back after
-    easy steps; the times start + k Δt are always met. Impulses are warm-started with those of the last step.
+    A step that fails is undone, velocities included, and tried again with half of Δt, which grows back after easy steps;
+    the times start + k Δt are always met. Besides a failure of Newton these are failures: contact that gives energy, and
+    points that have passed through a target. Multipliers are warm-started with those of the last step.
 
     Args:
         problem: made with the motions' residuals.
         motions: one per displacement of the problem.
         to, start: final and initial time (s).
         move: sets all that depends on time: poses of obstacles, Dirichlet values.
-        redistribute: take the mass off the contactors' nodes (`added_mass.py`), so that their stop costs no energy.
+        tolerance: local error of the displacements (m, root mean square) by which Δt is chosen, never longer than the
+            motions' own; by default it is theirs.
         solver: default one with tolerance RTOL.
-        smallest: Δt, relative to the asked-for one, below which the march gives up.
+        smallest: Δt, relative to the motions' own, below which the march gives up.
         ledger: to go on with, from an earlier march.
 
     Raises:
-        ValueError: `to` not after `start`.
+        ValueError: `to` not after `start`, or a tolerance that is not positive.
         StepFailure: on every rank.
     """
     if not to > start:
         raise ValueError(f"to = {to}: must be later than start = {start}")
+    if tolerance is not None and not tolerance > 0:
+        raise ValueError(f"tolerance = {tolerance}: needs a positive length in metres (leave it out for equal steps)")
     all_motions = [motions] if isinstance(motions, Motion) else list(motions)
-    problem.terms = [term for term in problem.terms if not isinstance(term, AddedMass)]
-    if redistribute:
-        problem.terms.append(AddedMass(problem.bodies, all_motions, problem.pairs))
     problem.members |= {f"motion{k}": motion for k, motion in enumerate(all_motions)}
     stepper = _Stepper(problem, all_motions, move, solver, ledger)
     longest = float(stepper.motions[0].Δt.value)
@@ -113,12 +141,17 @@ def march(
         mark = min(start + number * longest, to)
         nominal = time + Δt * (1 + 1e-9) >= mark
         trial = mark - time if nominal else Δt
-        if not stepper.try_step(time, trial):
-            Δt = trial / 2
+        easy = stepper.try_step(time, trial)
+        share = 0.0 if tolerance is None or not easy else stepper.local_error(trial) / tolerance
+        if not easy or share > FAR:
+            Δt = trial / 2 if not easy else trial * max(0.2, SAFETY * share ** (-1 / 3))
             stepper.undo(time, hopeless=Δt < smallest * longest)
             continue
         time = mark if nominal else time + trial
-        Δt = min(2 * Δt, longest) if stepper.easy else Δt
+        if tolerance is not None:
+            Δt = min(trial * min(GROWTH, SAFETY * max(share, 1e-12) ** (-1 / 3)), longest)
+        elif stepper.easy:
+            Δt = min(GROWTH * Δt, longest)
         number += int(nominal)
         yield stepper.accept(time, trial, nominal)
 
@@ -141,35 +174,41 @@ class _Stepper:
         if len(θ) > 1:
             raise ValueError(f"theta = {sorted(θ)}: all motions of a problem need the same θ")
         self.θ = θ.pop()
-        self.levels = [pair.use_velocities(self.θ) for pair in problem.pairs]
+        self.levels = [pair.use_steps() for pair in problem.pairs]
+        self._projection = VelocityProjection(problem, motions)
+        problem.evaluate()
         self.ledger = self._with_state(Ledger(0.0, 0.0)) if ledger is None else ledger
+        self._rate: Array | None = None
+        self._next_rate: Array | None = None
         self._reporter = Reporter(problem.comm.rank)
         self._clock, self.rejected, self.iterations = perf_counter(), 0, 0
 
     def _with_state(self, ledger: Ledger) -> Ledger:
         energies = np.sum([motion.energies() for motion in self.motions], axis=0)
         momenta = np.sum([motion.momenta() for motion in self.motions], axis=0)
-        for term in self.problem.terms:
-            if isinstance(term, AddedMass):
-                energies[0] += term.kinetic_energy()
-                momenta += term.momenta()
         d = self.problem.gdim
         momentum, spin = tuple(momenta[:d].tolist()), tuple(momenta[d:].tolist())
+        stored = sum(pair.stored_energy() for pair in self.problem.pairs)
         return replace(
-            ledger, kinetic=float(energies[0]), strain=float(energies[1]), momentum=momentum, angular_momentum=spin
-        )
+            ledger, kinetic=float(energies[0]), strain=float(energies[1]), contact=stored, momentum=momentum,
+            angular_momentum=spin,
+        )  # fmt: skip
 
     def try_step(self, time: float, Δt: float) -> bool:
-        """Solve for the state at time + Δt; whether Newton converged."""
+        """Solve for the state at time + Δt; whether that is a good one."""
         problem = self.problem
         self._before: Snapshot = problem.snapshot()
         for motion in self.motions:
             motion.Δt.value = Δt
             motion.predict()
-        self.move(time + (1 - self.θ) * Δt)
+        self.move(time + Δt / 2)
         for level in self.levels:
             level.predict()
-        self._books = [_Book(level, self.motions, lambda: self.move(time)) for level in self.levels]
+        for motion in self.motions:
+            motion.undo()
+        self.move(time)
+        for level in self.levels:
+            level.begin()
         self.move(time + Δt)
         for motion in self.motions:
             motion.guess()
@@ -181,9 +220,48 @@ class _Stepper:
         self.iterations += result.iterations
         self.easy, self._message = result.iterations <= EASY, result.message
         self._findings = problem.findings() if result.converged else []
-        fatal = [str(f) for f in self._findings if f.fatal]
-        self._message = "; ".join(fatal) if fatal else self._message
-        return result.converged and not fatal
+        return result.converged and self._is_sound()
+
+    def _is_sound(self) -> bool:
+        """Whether a converged state is one: no fatal finding, no energy from contact, nothing passed through."""
+        self._work = self._contact_work()
+        reasons = [str(f) for f in self._findings if f.fatal]
+        allowed = GAIN * max(self.ledger.total + self.ledger.impact_loss + self.ledger.friction_dissipation, 0.0)
+        if min(self._work.lost, -self._work.tangential) < -allowed:
+            gain = -min(self._work.lost, -self._work.tangential)
+            reasons.append(f"contact would give {gain:.3g} J to the bodies in this step; take a smaller one")
+        for pair, level in zip(self.problem.pairs, self.levels, strict=True):
+            passed = level.passed_through(pair.state)
+            X = np.concatenate(self.problem.comm.allgather(pair.points()[passed]))
+            if len(X):
+                place = np.array2string(X[0], precision=4)
+                reasons.append(
+                    f"{pair.name}: {len(X)} points pass through the target in this step, the first at X = {place}; take a "
+                    "smaller one"
+                )
+        self._message = "; ".join(reasons) or self._message
+        return not reasons
+
+    def _contact_work(self) -> _Work:
+        problem, stored = self.problem, 0.0
+        sums = np.zeros(3)
+        for level, pair in zip(self.levels, problem.pairs, strict=True):
+            done = level.work(pair.state, pair.j)
+            sums += problem.comm.allreduce(np.array([done.normal, done.tangential, done.by_obstacle]), MPI.SUM)
+            stored += pair.stored_energy()
+        normal, tangential, by_obstacles = sums.tolist()
+        return _Work(normal, tangential, by_obstacles, self.ledger.contact - stored - normal)
+
+    def local_error(self, Δt: float) -> float:
+        """What the mid-point rule leaves out in this step, Δt³ 𝐮‴/12, as root mean square over all components (m); for Δt 𝐮‴
+        the jump of the mean acceleration from the last step to this one."""
+        new = [2 / Δt**2 * (m.u.x.array - m.old.x.array) - 2 / Δt * m.velocity.x.array for m in self.motions]
+        sizes = [m.u.function_space.dofmap.index_map.size_local * self.problem.gdim for m in self.motions]
+        rate = np.concatenate([a[:n] for a, n in zip(new, sizes, strict=True)])
+        jump = np.zeros_like(rate) if self._rate is None else rate - self._rate
+        self._next_rate = rate
+        square, count = self.problem.comm.allreduce(np.array([float(jump @ jump), float(len(jump))]))
+        return float(Δt**2 / 12 * np.sqrt(square / max(count, 1.0)))
 
     def _inertia_scale(self, Δt: float) -> float:
         """Norm of nodal momenta per Δt (N), roughly: the size of forces that a step of this length resolves."""
@@ -203,53 +281,26 @@ class _Stepper:
 
     def accept(self, time: float, Δt: float, nominal: bool) -> Step:
         """Velocities, ledger, and what the step reports."""
-        problem, last = self.problem, self.ledger
-        work = sum(motion.external_work() for motion in self.motions)
-        friction = loss = 0.0
-        for book, pair in zip(self._books, problem.pairs, strict=True):
-            dissipated, lost, by_target = book.close(pair)
-            friction, loss, work = friction + dissipated, loss + lost, work + by_target
-        forces = tuple(pair.force() for pair in problem.pairs)
+        problem, last, done = self.problem, self.ledger, self._work
+        work = sum(motion.external_work() for motion in self.motions) + done.by_obstacles
         for motion in self.motions:
             motion.accept()
+        self._rate = self._next_rate
+        settled = self._projection.apply(Δt)
+        forces = tuple(pair.force() + i / Δt for pair, i in zip(problem.pairs, settled.impulses, strict=True))
         problem.commit()
         now = self._with_state(last)
-        change = now.kinetic + now.strain - last.kinetic - last.strain
+        work, loss, friction = work + settled.by_obstacles, done.lost + settled.lost, -done.tangential
         self.ledger = replace(
             now,
             external_work=last.external_work + work,
             friction_dissipation=last.friction_dissipation + friction,
             impact_loss=last.impact_loss + loss,
-            energy_defect=last.energy_defect + change - work + friction + loss,
+            energy_defect=last.energy_defect + now.total - last.total - work + friction + loss,
         )
-        seconds = perf_counter() - self._clock
-        found = tuple(self._findings)
-        step = Step(time, Δt, self.iterations, self.rejected, seconds, nominal, self.ledger, forces, found)
+        seconds, found = perf_counter() - self._clock, tuple(self._findings)
+        deepest = max([pair.penetration() for pair in problem.pairs], default=0.0)
+        step = Step(time, Δt, self.iterations, self.rejected, seconds, nominal, self.ledger, forces, deepest, found)
         self._reporter.report(found, f"time {time:.6g} s")
         self.rejected, self.iterations, self._clock = 0, 0, perf_counter()
         return step
-
-
-class _Book:
-    """A pair's work in a step: where its points and their target points were at the beginning."""
-
-    def __init__(self, level: VelocityLevel, motions: list[Motion], back: Callable[[], None]) -> None:
-        self._level = level
-        now = [motion.u.x.array.copy() for motion in motions]
-        for motion in motions:
-            motion.undo()
-        back()
-        self._x, self._y = level.moving_points()
-        for motion, array in zip(motions, now, strict=True):
-            motion.u.x.array[:] = array
-
-    def close(self, pair: ContactPair) -> tuple[float, float, float]:
-        """(friction dissipation, impact loss, work done by an obstacle that moves) of the step (J), collective."""
-        x, y = self._level.moving_points()
-        slide, ν, p, j = (x - self._x) - (y - self._y), pair.at.ν, pair.state.p, pair.j
-        normal = np.einsum("ni,ni->n", ν, slide)
-        total = np.einsum("n,ni,ni->", j, pair.state.t, slide)
-        lost = -float(j @ (p * normal))
-        by_target = float(np.einsum("n,ni,ni->", j, pair.state.t, y - self._y)) if pair.target.is_rigid else 0.0
-        sums = pair.comm.allreduce(np.array([-total - lost, lost, by_target]), MPI.SUM)
-        return float(sums[0]), float(sums[1]), float(sums[2])

@@ -1,28 +1,43 @@
-"""What the law needs to know of a pair's points: positions, projection, slip, and their variation.
+"""What the law needs to know of a pair's points: positions, projection, slip, their variation, and where forces act.
 
 Two strategies of one interface: :class:`PositionLevel` (statics: gap and slip of the present positions) and
-:class:`VelocityLevel` (Moreau's scheme: gap and slip are Δt × relative velocities on a frozen geometry).
+:class:`~dolfinx_mortar_al.step_level.StepLevel` (impact: gap at the end of a time step, slip over it).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.integration import IntegrationPoints
+from dolfinx_mortar_al.law import Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.projection import Projection, TargetPoint
 from dolfinx_mortar_al.targets import ContactorPoints, Target
-from dolfinx_mortar_al.variation import Slots, Variation, vary, vary_frozen
+from dolfinx_mortar_al.variation import Slots, vary
 
-__all__ = ["Kinematics", "PositionLevel", "VelocityLevel"]
+__all__ = ["Forces", "Kinematics", "PositionLevel"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
+
+
+@dataclass
+class Forces:
+    """Nominal forces on one body and the other at n points (Pa; Pa m on tangents).
+
+    Attributes:
+        contactor: (n, gdim) on 𝐱; target: (n, gdim) on the point faced.
+        tangents: (n, dim, gdim) on the contactor's 𝐚₁_α, couples that keep angular momentum; None if there are none.
+    """
+
+    contactor: Array
+    target: Array
+    tangents: Array | None = None
 
 
 class Kinematics(ABC):
@@ -62,9 +77,9 @@ class Kinematics(ABC):
         """(n, gdim) present positions of the points (m)."""
         return self.points.interpolate(self.nodes())
 
-    def contactor(self) -> ContactorPoints:
-        """The points with the contactor's normals and tangents, now."""
-        nodes = self.nodes()
+    def contactor(self, nodes: Array | None = None) -> ContactorPoints:
+        """The points with the contactor's normals and tangents, now or with the nodes (nf, nodes, gdim) elsewhere."""
+        nodes = self.nodes() if nodes is None else nodes
         tangents = self.points.tangents(nodes)
         normal = self.points.normals(tangents)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -76,16 +91,63 @@ class Kinematics(ABC):
     def evaluate(self) -> None:
         """Bring x, at and s up to date with the displacements."""
 
+    def follow(self) -> bool:
+        """At the start of an iteration: choose anew what is held in between; whether anything changed."""
+        return False
+
+    # ---------------------------------------------------------------- forces, and their derivative
+
     @abstractmethod
-    def vary(self, act: Index, slots: Slots) -> Variation:
-        """Variation of gap, normal and slip at the points `act`."""
+    def slots(self, multiplier: int) -> Slots:
+        """The variations that the forces depend on; `multiplier` is its number of components."""
+
+    @abstractmethod
+    def forces(self, state: LawState) -> Forces:
+        """Where the tractions of the law act, and how."""
+
+    @abstractmethod
+    def linearise(
+        self, law: Frictionless | Coulomb, state: LawState, Λ: Array, act: Index, slots: Slots
+    ) -> tuple[Array, Array]:
+        """Derivatives, at the points `act`, of what the virtual displacements' operators (:meth:`rows`) are multiplied with
+        (n, rows, gdim, z), and of the multiplier's residual (n, components, z); `state` and `Λ` are those of `act`."""
+
+    @abstractmethod
+    def rows(self, act: Index) -> Array:
+        """(n, rows, nodes of the contactor's and the target's facet) shape functions of the virtual displacements."""
+
+    @abstractmethod
+    def columns(self, act: Index) -> Array:
+        """(n, slots, nodes) shape functions of the slots, on the rows' nodes and on those of `extra`."""
+
+    @property
+    @abstractmethod
+    def extra(self) -> TargetPoint | None:
+        """(n,) points of the target on whose nodes the law depends besides those that the forces act on."""
+
+    def traction(self, state: LawState) -> Array:
+        """(n, gdim) nominal traction on the contactor (Pa)."""
+        return -self.forces(state).contactor
+
+    def _shape_rows(self, act: Index, count: int) -> tuple[Array, int, int]:
+        """Zeros for `count` operators, with N1 and N2 in the first two; the number of the contactor's nodes, and of all."""
+        N1, at = self.points.N[act], self.at.take(act)
+        k1, k = N1.shape[1], N1.shape[1] + at.N.shape[1]
+        B = np.zeros((len(act), count, k))
+        B[:, 0, :k1], B[:, 1, k1:] = N1, at.N
+        return B, k1, k
 
     # ---------------------------------------------------------------- slip history
 
+    @property
+    def faced(self) -> Projection:
+        """What the points face in the present positions."""
+        return self.at
+
     def commit(self) -> None:
         """The step has converged: Y_{n−1} ← Y."""
-        point = self.at.point.copy()
-        lost = np.flatnonzero(~self.at.facing)
+        point = self.faced.point.copy()
+        lost = np.flatnonzero(~self.faced.facing)
         if self.friction and len(lost):  # the slip of what comes back is counted from the nearest point
             near = self.target.closest(self.x[lost]).point
             point.facet[lost], point.η[lost] = near.facet, near.η
@@ -117,43 +179,46 @@ class PositionLevel(Kinematics):
         here = self.x if self.target.uses_rays else self.at.y
         return here - self.positions_of_history()
 
-    def vary(self, act: Index, slots: Slots) -> Variation:
-        return vary(self.at.take(act), slots)
+    def slots(self, multiplier: int) -> Slots:
+        derivatives = [str(α) for α in range(self.target.dim)]
+        own = [f"x,{α}" for α in derivatives] if self.target.uses_rays else []
+        names = ["x", "w", *(f"w,{α}" for α in derivatives), *own, *(["w_p"] if self.friction else [])]
+        return Slots(self.target.dim + 1, multiplier, tuple(names))
 
+    def forces(self, state: LawState) -> Forces:
+        """−∫ t·(N1 U1* − N2(η) U2*) dS₀, eq. (4)."""
+        return Forces(-state.t, state.t)
 
-class VelocityLevel(Kinematics):
-    """Contact between velocities, for Moreau's scheme, on the geometry of a time step.
+    def linearise(
+        self, law: Frictionless | Coulomb, state: LawState, Λ: Array, act: Index, slots: Slots
+    ) -> tuple[Array, Array]:
+        """δ of −t (on N1 U1*), t (on N2 U2*), and t_i η^α (on N2,α U2*): the moving η moves the test function too."""
+        at = self.at.take(act)
+        δ = vary(at, slots)
+        δt, δr = law.linearise(state, Λ, at, None if self.s is None else self.s[act], δ)
+        moving = state.t[:, None, :, None] * δ.η[:, :, None, :]
+        return np.concatenate([np.stack([-δt, δt], axis=1), moving], axis=1), δr
 
-    With the predictor 𝐮_m = 𝐮_n + (1−θ)Δt 𝐯_n the θ-scheme says Δt 𝐯_{n+1} = (𝐮_{n+1} − 𝐮_m)/θ. Points that touch at 𝐮_m
-    have eq. (1) with Δt × the relative velocity in place of gap and slip; all others are open. Projection and normals are
-    those of 𝐮_m and do not move within the step.
-    """
+    def rows(self, act: Index) -> Array:
+        """N1; N2, N2,α."""
+        B, k1, _ = self._shape_rows(act, 2 + self.target.dim)
+        B[:, 2:, k1:] = self.at.dN[act]
+        return B
 
-    def __init__(self, before: Kinematics, θ: float) -> None:
-        super().__init__(before.points, before._u, before.target, before.friction)
-        self.x, self.at, self.s, self.may_close = before.x, before.at, before.s, before.may_close
-        self.set_history(before.history)
-        self.θ, self.step, self._x = θ, before.at, before.x
+    def columns(self, act: Index) -> Array:
+        """The rows' operators; with rays N1,α; with friction N2(η_{n−1}) on the old target facet."""
+        rows, dim = self.rows(act), self.target.dim
+        n, r, k = rows.shape
+        old = self.weights[act] if self.friction else np.zeros((n, 0))
+        B = np.zeros((n, r + dim * self.target.uses_rays + self.friction, k + old.shape[1]))
+        B[:, :r, :k] = rows
+        if self.target.uses_rays:
+            dN1 = self.points.dN[act]
+            B[:, r : r + dim, : dN1.shape[2]] = dN1
+        if self.friction:
+            B[:, -1, k:] = old
+        return B
 
-    def predict(self) -> None:
-        """Take the step's geometry from the present (predicted) positions."""
-        self.target.refresh()
-        now = self.contactor()
-        self.step, self._x = self.target.project(now), now.x
-        self.may_close = self.step.facing & (self.step.g >= -self.touch)
-        self.at = self.step
-        self.set_history(self.step.point)
-
-    def moving_points(self) -> tuple[Array, Array]:
-        """Contactor points (n, gdim) and the step's target points (n, gdim), where they are now (m)."""
-        self.target.refresh()
-        return self.positions(), self.target.positions(self.step.point, self.step.N)
-
-    def evaluate(self) -> None:
-        self.x, y = self.moving_points()
-        motion: Array = np.asarray(((self.x - self._x) - (y - self.step.y)) / self.θ, dtype=np.float64)
-        self.at = replace(self.step, g=-np.einsum("ni,ni->n", self.step.ν, motion))
-        self.s = motion if self.friction else None
-
-    def vary(self, act: Index, slots: Slots) -> Variation:
-        return vary_frozen(self.at.take(act), slots, self.θ)
+    @property
+    def extra(self) -> TargetPoint | None:
+        return self.history if self.friction else None

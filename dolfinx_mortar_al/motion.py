@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -103,6 +104,17 @@ class Motion:
         kinetic, strain = self._energies
         return self.integral(kinetic), self.integral(strain)
 
+    def kinetic_energy(self) -> float:
+        """Kinetic energy (J), collective."""
+        return self.integral(self._energies[0])
+
+    @cached_property
+    def mass_form(self) -> fem.Form:
+        """The mass (kg) as a compiled bilinear form."""
+        V = self.u.function_space
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        return fem.form(self.thickness * self.density * ufl.inner(u, v) * self.dx)
+
     def momenta(self) -> Array:
         """Momentum (N s, gdim) and angular momentum about the origin (N m s, 1 or 3), collective."""
         return np.array([self.integral(form) for form in self._momenta])
@@ -112,8 +124,8 @@ class Motion:
         return 0.0 if self._work is None else self.integral(self._work)
 
     def predict(self) -> None:
-        """𝐮 ← 𝐮_m = 𝐮_n + (1−θ) Δt 𝐯_n, where the step's contact geometry is taken."""
-        self.u.x.array[:] = self.old.x.array + (1 - self.θ) * self.Δt.value * self.velocity.x.array
+        """𝐮 ← 𝐮_n + Δt 𝐯_n/2, where the step's contact geometry is taken first."""
+        self.u.x.array[:] = self.old.x.array + self.Δt.value / 2 * self.velocity.x.array
 
     def guess(self) -> None:
         """𝐮 ← 𝐮_n + Δt 𝐯_n, from which Newton starts."""

@@ -32,6 +32,7 @@ EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
 ROUND_OFF = 100.0  # multiples of the tolerance in which a residual that stands still counts as round-off
 SPRING = 1e-8  # of pieces that contact alone holds, as a share of their stiffness, times the relative residual
 LEAST_SPRING = 1e-13  # what is left of it where a motion stays free, such as sliding without friction
+PROGRESS = 0.1  # of the residual between two visits of a contact pattern that is no cycle
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
 MAX_FREEZES = 20  # times that friction bounds are brought up to date in a solve
 NEARLY = 0.05  # error of frozen bounds, as a share of the largest μp, below which they are freed
@@ -289,7 +290,7 @@ class NewtonSolver:
         close less readily. Give up when neither helps."""
         pattern = self.problem.contact_pattern()
         self._damping = 1.0
-        if pattern in self._patterns[:-1] and pattern != self._patterns[-1]:
+        if pattern in self._patterns[:-1] and pattern != self._patterns[-1] and self._no_nearer(pattern):
             self._cycles += 1
             if self._cycles > MAX_CYCLES:
                 self.result.message = f"the contact state cycles, {self.problem.flipping_points()}"
@@ -300,6 +301,12 @@ class NewtonSolver:
                     pair.active.patience *= 10.0
         self._patterns.append(pattern)
         return None
+
+    def _no_nearer(self, pattern: int) -> bool:
+        """Whether the residual is hardly smaller than when this contact pattern was there last."""
+        norms = self.result.norms[-len(self._patterns) - 1 :]
+        then = len(self._patterns) - 1 - self._patterns[::-1].index(pattern)
+        return max(norms[-1]) > PROGRESS * max(norms[then])
 
     def _freeze(self, iteration: int) -> bool:
         """Freeze the friction bounds; whether there were any that were free."""

@@ -105,9 +105,10 @@ class Obstacle(ABC):
         """
         self.pose = Pose(_vector("translation", translation, self.gdim), _rotation_matrix(rotation, self.gdim))
 
-    def positions(self, Y: Array) -> Array:
-        """Present positions (n, gdim) of the material points with initial positions Y (n, gdim)."""
-        return self.pivot + self._pose.translation + (Y - self.pivot) @ self._pose.rotation.T
+    def positions(self, Y: Array, pose: Pose | None = None) -> Array:
+        """Positions (n, gdim), at present or in another pose, of the material points with initial positions Y (n, gdim)."""
+        pose = self._pose if pose is None else pose
+        return np.asarray(self.pivot + pose.translation + (Y - self.pivot) @ pose.rotation.T)
 
     def project(self, x: Array) -> ClosestPoint:
         """The closest-point map of 𝐱 (n, gdim); its `point.η` (n, gdim) is the closest point's initial position Y."""

@@ -24,7 +24,7 @@ from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_
 from dolfinx_mortar_al.pieces import Piece
 from dolfinx_mortar_al.stopwatch import Stopwatch
 
-__all__ = ["ContactProblem", "Snapshot", "Term"]
+__all__ = ["ContactProblem", "Snapshot"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -42,16 +42,6 @@ class Member(Protocol):
 
     def restore(self, saved: dict[str, Array]) -> None:
         """Back to a snapshot."""
-
-
-class Term(Protocol):
-    """Forces on the displacements that are neither bulk nor contact, such as those of added mass."""
-
-    def add_force(self, b: PETSc.Vec) -> None:
-        """Add the force (N) at the present state."""
-
-    def add_jacobian(self, A: PETSc.Mat) -> None:
-        """Add its derivative (N/m); it has no entry outside of the bulk's pattern."""
 
 
 class ContactProblem:
@@ -93,8 +83,6 @@ class ContactProblem:
             raise ValueError(
                 "u: det F ≤ 0 somewhere in the start state; start from a displacement without inverted cells"
             )
-        #: further forces
-        self.terms: list[Term] = []
         with self.stopwatch("contact set-up"):
             self.pairs = [ContactPair(c, self.bodies, self.stopwatch) for c in contacts]
         #: what a snapshot is made of, in the order in which it is restored
@@ -153,9 +141,13 @@ class ContactProblem:
         if not self.comm.allreduce(grown, MPI.LOR):
             return
         for k, pair in enumerate(self.pairs, start=1):
-            fresh = np.setdiff1d(pair.blocks.with_neighbours(new[k - 1]), self._seen[k - 1], assume_unique=True)
+            fresh = np.setdiff1d(
+                pair.blocks.with_neighbours(new[k - 1], pair.kinematics), self._seen[k - 1], assume_unique=True
+            )
             self._seen[k - 1] = np.union1d(self._seen[k - 1], fresh)
-            for (i, j), elements in zip([(0, 0), (0, k), (k, 0), (k, k)], pair.blocks.pattern(fresh), strict=True):
+            for (i, j), elements in zip(
+                [(0, 0), (0, k), (k, 0), (k, k)], pair.blocks.pattern(fresh, pair.kinematics), strict=True
+            ):
                 entries = empty_matrix(self._layouts[i], self._layouts[j])
                 for element in elements:
                     insert(entries, *element)
@@ -195,8 +187,6 @@ class ContactProblem:
         self.unpack(x)
         with self.stopwatch("bulk"):
             self.force_scale = self.bodies.residual(self._bulk)
-            for term in self.terms:
-                term.add_force(self._bulk)
         for pair in self.pairs:
             pair.evaluate()
         self._add_contact(f)
@@ -220,8 +210,11 @@ class ContactProblem:
         point opened or closed (collective)."""
         parts = f.getNestSubVecs()
         with self.stopwatch("contact"):
+            followed = [pair.kinematics.follow() for pair in self.pairs]
+            if any(followed):
+                self.evaluate()
             changed = [pair.decide(part) for pair, part in zip(self.pairs, parts[1:], strict=True)]
-            if not any(changed):
+            if not any(changed) and not any(followed):
                 return False
             for pair in self.pairs:
                 pair.apply_law()
@@ -256,9 +249,6 @@ class ContactProblem:
                 self._add_tension()
             if self.springs is not None:
                 self._add_springs()
-            for term in self.terms:
-                self.blocks[0][0].assemble()
-                term.add_jacobian(self.blocks[0][0])
         with self.stopwatch("contact"):
             for row in self.blocks:
                 for block in row:

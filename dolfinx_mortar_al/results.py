@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.kinematics import Kinematics
-from dolfinx_mortar_al.law import OPEN, STICK, LawState
+from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, LawState
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.projection import Projection
 from dolfinx_mortar_al.targets import Target
@@ -40,6 +40,8 @@ class PairResults:
     kinematics: Kinematics
     target: Target
     state: LawState
+    Λ: Array
+    ε: Augmentation
     area: float
     _last_points: NDArray[np.bool_]
 
@@ -68,15 +70,27 @@ class PairResults:
 
     def force(self) -> Array:
         """(gdim,) resultant of the contact tractions on the contactor (N), collective."""
-        return np.asarray(self.comm.allreduce(self.j @ self.state.t))
+        return np.asarray(self.comm.allreduce(self.j @ self.kinematics.traction(self.state)))
 
     def moment(self, about: Sequence[float]) -> Array:
         """Moment of the contact tractions on the contactor about a point (N m; 3 components, or 1 in the plane),
         collective. A rigid obstacle feels the opposite, as it does of :meth:`force`."""
-        arm, t = self.kinematics.x - np.asarray(about), self.j[:, None] * self.state.t
+        arm, t = self.kinematics.x - np.asarray(about), self.j[:, None] * self.kinematics.traction(self.state)
         if self.gdim == 3:
             return np.asarray(self.comm.allreduce(np.cross(arm, t).sum(axis=0)))
         return np.atleast_1d(self.comm.allreduce(float(np.sum(arm[:, 0] * t[:, 1] - arm[:, 1] * t[:, 0]))))
+
+    def stored_energy(self) -> float:
+        """∫ (p² − λ_N²)/(2ε_N) dS₀ (J), collective: what the augmentation holds where facets are partly closed. It is the
+        potential of the normal contact forces, convex in the gaps and zero where nothing touches."""
+        λN = self.Λ[:, 0] if self.Λ.shape[1] == 1 else np.einsum("ni,ni->n", self.Λ, self.at.ν)
+        density = (self.state.p**2 - λN**2) / (2 * self.ε.normal)
+        return float(self.comm.allreduce(float(self.j @ density)))
+
+    def penetration(self) -> float:
+        """Largest penetration of a closed point (m), collective."""
+        deep = self.kinematics.at.g[self.state.status != OPEN]
+        return float(self.comm.allreduce(float(deep.max(initial=0.0)), MPI.MAX))
 
     def nodal_forces(self) -> float:
         """Norm of the contactor's nodal contact forces ∫ N |t| (N), collective: the scale of both residuals."""

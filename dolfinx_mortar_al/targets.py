@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.closest_point import ClosestPoint, project
-from dolfinx_mortar_al.obstacles import Obstacle
+from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine
 from dolfinx_mortar_al.rays import cast
 from dolfinx_mortar_al.search import CandidateSearch, RaySearch
@@ -27,6 +27,9 @@ __all__ = ["ContactorPoints", "DeformableTarget", "RigidTarget", "Target", "targ
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+#: present positions (nodes, gdim) of a deformable target's nodes (m), or a rigid one's pose
+Place = Array | Pose
 
 
 @dataclass(frozen=True)
@@ -71,8 +74,8 @@ class Target(ABC):
         """Take up the present displacements or pose (collective)."""
 
     @abstractmethod
-    def project(self, points: ContactorPoints) -> Projection:
-        """What the points face on the target as it is now."""
+    def project(self, points: ContactorPoints, place: Place | None = None) -> Projection:
+        """What the points face on the target as it is now, or was at another place."""
 
     @abstractmethod
     def closest(self, x: Array) -> ClosestPoint:
@@ -83,8 +86,13 @@ class Target(ABC):
         """(n, k) shape functions of the target's nodes at material points."""
 
     @abstractmethod
-    def positions(self, point: TargetPoint, weights: Array) -> Array:
-        """(n, gdim) where material points are now, φ₂(Y, t)."""
+    def positions(self, point: TargetPoint, weights: Array, place: Place | None = None) -> Array:
+        """(n, gdim) where material points are now, φ₂(Y, t), or were."""
+
+    @property
+    @abstractmethod
+    def place(self) -> Place:
+        """Where the target is now, to hand to :meth:`project` and :meth:`positions` later."""
 
     @abstractmethod
     def stiffness(self, diagonals: Sequence[fem.Function], thickness: float) -> float:
@@ -119,12 +127,18 @@ class DeformableTarget(Target):
     def refresh(self) -> None:
         self._nodes = self.surface.X + self.at_nodes(self._body.u)
 
-    def project(self, points: ContactorPoints) -> Projection:
+    @property
+    def place(self) -> Place:
+        return self._nodes
+
+    def project(self, points: ContactorPoints, place: Place | None = None) -> Projection:
         x, surface = points.x, self.surface
+        nodes = self._nodes if place is None else place
+        assert isinstance(nodes, np.ndarray)
         if not self.uses_rays:
-            return project(surface, self._nodes, x, self._near(x, self._nodes))
-        table = self._on_rays(x, points.normal, self._nodes)
-        return cast(surface, self._nodes, x, points.normal, points.tangents, table, self._near)
+            return project(surface, nodes, x, self._near(x, nodes))
+        table = self._on_rays(x, points.normal, nodes)
+        return cast(surface, nodes, x, points.normal, points.tangents, table, self._near)
 
     def closest(self, x: Array) -> ClosestPoint:
         return project(self.surface, self._nodes, x, CandidateSearch(self.surface)(x, self._nodes))
@@ -137,8 +151,10 @@ class DeformableTarget(Target):
     def weights(self, point: TargetPoint) -> Array:
         return self.surface.shape.tabulate(point.η)[0]
 
-    def positions(self, point: TargetPoint, weights: Array) -> Array:
-        return combine(weights, self._nodes[self.facets[point.facet]])
+    def positions(self, point: TargetPoint, weights: Array, place: Place | None = None) -> Array:
+        nodes = self._nodes if place is None else place
+        assert isinstance(nodes, np.ndarray)
+        return combine(weights, nodes[self.facets[point.facet]])
 
     def stiffness(self, diagonals: Sequence[fem.Function], thickness: float) -> float:
         own = next(d for d in diagonals if d.function_space is self._body.space)
@@ -163,7 +179,11 @@ class RigidTarget(Target):
     def refresh(self) -> None:
         pass
 
-    def project(self, points: ContactorPoints) -> Projection:
+    @property
+    def place(self) -> Place:
+        return self.obstacle.pose
+
+    def project(self, points: ContactorPoints, place: Place | None = None) -> Projection:
         return self.obstacle.project(points.x)
 
     def closest(self, x: Array) -> ClosestPoint:
@@ -172,8 +192,9 @@ class RigidTarget(Target):
     def weights(self, point: TargetPoint) -> Array:
         return np.zeros((len(point.facet), 0))
 
-    def positions(self, point: TargetPoint, weights: Array) -> Array:
-        return self.obstacle.positions(point.η)
+    def positions(self, point: TargetPoint, weights: Array, place: Place | None = None) -> Array:
+        assert place is None or isinstance(place, Pose)
+        return self.obstacle.positions(point.η, place)
 
     def stiffness(self, diagonals: Sequence[fem.Function], thickness: float) -> float:
         return np.inf

@@ -1,7 +1,7 @@
 """First variation of a projection: δη, δ𝐲, δg, δν and the slip's δs as linear maps of few nodal variations.
 
-At a point only δ𝐱 = N1 δU1, w = N2(η) δU2, w_α = N2,α(η) δU2, with rays δ𝐱,α = N1,α δU1, with friction w_p = N2(η_{n−1}) δU2,
-and δΛ enter (``docs/theory.md``). They are the slots of the last axis, of length z = gdim × number of slots.
+At a point only few variations enter, such as δ𝐱 = N1 δU1, w = N2(η) δU2, w_α = N2,α(η) δU2, δ𝐱,α = N1,α δU1, and δΛ
+(``docs/theory.md``). They are the slots of the last axis, of length z = gdim × number of slots.
 """
 
 from __future__ import annotations
@@ -14,31 +14,28 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.closest_point import ClosestPoint
 from dolfinx_mortar_al.projection import Projection, inverse
 from dolfinx_mortar_al.rays import RayHit
+from dolfinx_mortar_al.surface import surface_normal
 
-__all__ = ["Slots", "Variation", "vary", "vary_frozen"]
+__all__ = ["Slots", "Variation", "scaled_normal", "vary", "vary_gap"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Slots:
-    """Which variations there are: of the displacements in this order, then of the multiplier's components."""
+    """Which variations there are: of the displacements, `names` in their order, then of the multiplier's components.
+
+    A name is that of a point, whose variation has gdim components: x on the contactor, w on the target, w_p, w_e on it
+    where a point was or will be; or that of a derivative, such as x,0 and x,1 for the two δ𝐱,α on a surface in space.
+    """
 
     gdim: int
     multiplier: int
-    friction: bool
-    rays: bool
+    names: tuple[str, ...]
 
     @property
     def dim(self) -> int:
         return self.gdim - 1
-
-    @property
-    def names(self) -> list[str]:
-        """The displacements' slots: x, w, w,α (gdim − 1 of them); x,α with rays; w_p with friction."""
-        derivatives = [str(α) for α in range(self.dim)]
-        own = [f"x,{α}" for α in derivatives] if self.rays else []
-        return ["x", "w", *(f"w,{α}" for α in derivatives), *own, *(["w_p"] if self.friction else [])]
 
     @property
     def size(self) -> int:
@@ -74,11 +71,33 @@ class Variation:
 
 
 def vary(at: Projection, slots: Slots) -> Variation:
-    """Variation of a projection, by its rule."""
+    """Variation of a projection, by its rule, in the slots x, w, w,α, with rays x,α, with friction w_p."""
     if isinstance(at, RayHit):
         return _vary_ray(at, slots)
     assert isinstance(at, ClosestPoint)
     return _vary_closest(at, slots)
+
+
+def vary_gap(at: Projection, slots: Slots, target: str) -> Array:
+    """δg (n, z) alone; `target` is the slot of the point faced."""
+    w, δx = slots.slot(target), slots.slot("x")
+    if not isinstance(at, RayHit):
+        return np.asarray(-at.ν @ (δx - w))
+    m = scaled_normal(at)
+    dual = inverse(at.tangents @ np.swapaxes(at.tangents, 1, 2)) @ at.tangents
+    # −m̂·(δ𝐱 − w + d δ𝐧) with δ𝐧 = −𝐚₁^α (𝐧·δ𝐱,α), 𝐧 = −ν, d = −g
+    turned = np.einsum(
+        "naz,na->nz", np.tensordot(at.ν, slots.derivatives("x"), axes=(1, 1)), (dual @ m[:, :, None])[:, :, 0]
+    )
+    return np.asarray(-m @ (δx - w) + at.g[:, None] * turned)
+
+
+def scaled_normal(at: Projection) -> Array:
+    """(n, gdim) 𝐦̂ = 𝐦/(𝐦·ν), 𝐦 the target's normal: δg = −𝐦̂ · (relative motion), and 𝐦̂ = ν where ν is that normal."""
+    if not isinstance(at, RayHit):
+        return at.ν
+    m = surface_normal(at.a)
+    return np.asarray(m / np.where(at.facing, np.einsum("ni,ni->n", m, at.ν), 1.0)[:, None])
 
 
 def _vary_ray(at: RayHit, slots: Slots) -> Variation:
@@ -89,7 +108,7 @@ def _vary_ray(at: RayHit, slots: Slots) -> Variation:
     M = np.concatenate([np.swapaxes(at.a, 1, 2), at.ν[:, :, None]], axis=2)
     M[~at.facing] = np.eye(slots.gdim)
     solution = np.linalg.solve(M, (δx - w) - at.g[:, None, None] * δn)
-    δs = np.broadcast_to(δx - slots.slot("w_p"), δn.shape) if slots.friction else None
+    δs = np.broadcast_to(δx - slots.slot("w_p"), δn.shape) if "w_p" in slots.names else None
     return Variation(solution[:, : slots.dim], -solution[:, slots.dim], -δn, slots.multiplier_slot()[None], δs)
 
 
@@ -104,14 +123,5 @@ def _vary_closest(at: ClosestPoint, slots: Slots) -> Variation:
     if corner.size:  # on an edge or vertex ν = −(x − y)/g turns with the point
         ν, turn = at.ν[corner], (δx - w) - aT[corner] @ δη[corner]
         δν[corner] = -(turn - ν[:, :, None] * (ν[:, None, :] @ turn)) / at.g[corner, None, None]
-    δs = w + aT @ δη - slots.slot("w_p") if slots.friction else None
+    δs = w + aT @ δη - slots.slot("w_p") if "w_p" in slots.names else None
     return Variation(δη, δg, δν, slots.multiplier_slot()[None], δs)
-
-
-def vary_frozen(at: Projection, slots: Slots, θ: float) -> Variation:
-    """Variation where the geometry is frozen and gap and slip are Δt × velocities, (δ𝐱 − w)/θ: Moreau's scheme."""
-    n, z = len(at.g), slots.size
-    drift = (slots.slot("x") - slots.slot("w")) / θ
-    δs = np.broadcast_to(drift, (n, *drift.shape)) if slots.friction else None
-    zero_η, zero_ν = np.zeros((n, slots.dim, z)), np.zeros((n, slots.gdim, z))
-    return Variation(zero_η, -at.ν @ drift, zero_ν, slots.multiplier_slot()[None], δs)

@@ -88,7 +88,7 @@ def test_derivatives_are_those_of_central_differences(name, pose):
     d, h = obstacle.gdim, 1e-5
     at = obstacle.project(x)
     assert (at.g > 0.05).any() and (at.g < -0.05).any()
-    δ = vary(at, Slots(d, multiplier=1, friction=True, rays=False))
+    δ = vary(at, Slots(d, 1, ("x", "w", *(f"w,{α}" for α in range(d - 1)), "w_p")))
     exact = {"y": δ.s[:, :, :d], "g": δ.g[:, :d], "ν": δ.ν[:, :, :d]}
     for key, derivative in exact.items():
         ends = [[getattr(obstacle.project(x + sign * e), key) for e in h * np.eye(d)] for sign in (1, -1)]

@@ -160,7 +160,7 @@ def test_variation_against_differences(cell, order, contactor_order):
     assert np.all(at.facing) and np.any(at.g < 0)
     inside = (at.point.facet == plus.point.facet) & (at.point.facet == minus.point.facet)
     assert inside.sum() >= 15
-    slots = Slots(gdim=d, multiplier=d, friction=True, rays=True)
+    slots = Slots(d, d, ("x", "w", *(f"{slot},{α}" for slot in "wx" for α in range(d - 1)), "w_p"))
     δ2 = d2[surface.facets[at.point.facet]]
     given = {"x": N1 @ d1, "w": np.einsum("nk,nki->ni", at.N, δ2)}
     given |= {f"w,{α}": np.einsum("nk,nki->ni", at.dN[:, α], δ2) for α in range(d - 1)}

@@ -1,0 +1,368 @@
+"""Contact over a time step: the gap at its end, the slip over it, and forces that keep momentum, spin and energy.
+
+A force 𝐅 acts on a contactor point 𝐱 and −𝐅 on a material point 𝐲 of the target, both fixed for the step, with the couple
+that makes it power-conjugate to a relative motion 𝐰 which every rigid motion leaves at zero (``docs/impact.md``):
+
+    𝐰 = Δ𝐫 − 𝐀^α Δ𝐚_α,   𝐫 = 𝐱 − 𝐲,   𝐀^α = (𝐚^α·𝐫) 𝐈 − (𝐧·𝐫) 𝐚^α⊗𝐧,
+
+Δ the change over the step, 𝐫, the contactor's tangents 𝐚_α, dual tangents 𝐚^α and normal 𝐧 those of its middle,
+(𝐮_n + 𝐮_{n+1})/2. The normal force is p(𝐦̂ + κ𝐰): 𝐦̂ along the target's normal, and κ such that its work is −p times the
+change of the penetration g, whatever the path (a discrete gradient after Gonzalez, DOI 10.1007/BF02440162).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.kinematics import Forces, Kinematics
+from dolfinx_mortar_al.law import OPEN, STICK, Coulomb, Frictionless, LawState
+from dolfinx_mortar_al.projection import Projection, TargetPoint, dot, inverse
+from dolfinx_mortar_al.swept import passed_through
+from dolfinx_mortar_al.targets import DeformableTarget
+from dolfinx_mortar_al.variation import Slots, Variation, scaled_normal, vary_gap
+
+__all__ = ["Rates", "StepLevel", "StepWork"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Bool = NDArray[np.bool_]
+
+# Relative motions below this share of a facet are no direction for κ; what is left out is of third order in the step.
+
+FOLLOWS = 3  # iterations of a solve in which points and directions are chosen again
+STILL = 1e-3
+DEPTH = 0.05  # of a facet, behind which an open point that came through its front has not been seen by contact
+
+
+@dataclass(frozen=True)
+class StepWork:
+    """Of a pair's tractions in a step, on this rank (J): what the normal and the tangential ones do on both bodies, and what
+    a rigid obstacle's motion puts in."""
+
+    normal: float
+    tangential: float
+    by_obstacle: float
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Relative velocities at points `act` (n,) that face target facets `facet` (n,), in the multiplier's components m.
+
+    Attributes:
+        G: (n, m, z) of the slots, which are B (n, slots, nodes) times nodal velocities.
+        H: (n, m, z) what impulses are conjugate to: where points slip along the step's traction, so that the sum of both
+            stays on Coulomb's cone.
+        free: (n, m, m) projector onto the components without a condition.
+        carried: (n, m) Δt × the part of G that a rigid obstacle's velocity makes; swept: (n, gdim) its motion (m).
+    """
+
+    act: Index
+    facet: Index
+    G: Array
+    H: Array
+    B: Array
+    free: Array
+    carried: Array
+    swept: Array
+
+
+@dataclass
+class Lever:
+    """The operator 𝐀^α at n points, in the middle of a step.
+
+    Attributes:
+        a: (n, dim, gdim) tangents 𝐚_α; dual: (n, dim, gdim) 𝐚^α; n: (n, gdim) unit normal; r: (n, gdim) 𝐱 − 𝐲.
+    """
+
+    a: Array
+    dual: Array
+    n: Array
+    r: Array
+
+    @classmethod
+    def of(cls, a: Array, normal: Array, r: Array) -> Lever:
+        """From tangents, a normal of any length, and the distance."""
+        return cls(a, inverse(a @ np.swapaxes(a, 1, 2)) @ a, normal / np.linalg.norm(normal, axis=1, keepdims=True), r)
+
+    @property
+    def along(self) -> Array:
+        """(n, dim) 𝐚^α·𝐫."""
+        return np.asarray((self.dual @ self.r[:, :, None])[:, :, 0])
+
+    @property
+    def height(self) -> Array:
+        """(n,) 𝐧·𝐫."""
+        return dot(self.n, self.r)
+
+    def carry(self, Δa: Array) -> Array:
+        """(n, gdim) 𝐀^α Δ𝐚_α: how 𝐫 would change with the contactor's facet; Δa (n, dim, gdim)."""
+        turned = np.einsum("na,nai->ni", (Δa @ self.n[:, :, None])[:, :, 0], self.dual)
+        return np.einsum("na,nai->ni", self.along, Δa) - self.height[:, None] * turned
+
+    def transposed(self, F: Array) -> Array:
+        """(n, dim, gdim) (𝐀^α)ᵀ 𝐅, the forces on the tangents."""
+        lifted = (self.dual @ F[:, :, None])[:, :, 0] * self.height[:, None]
+        return np.asarray(self.along[:, :, None] * F[:, None] - lifted[:, :, None] * self.n[:, None])
+
+    def vary_parts(self, δa: Array, δr: Array) -> tuple[Array, Array, Array, Array]:
+        """δ𝐚^α (n, dim, gdim, z), δ𝐧 (n, gdim, z), δ(𝐚^α·𝐫) (n, dim, z) and δ(𝐧·𝐫) (n, z), of δ𝐚_α (dim, gdim, z) and
+        δ𝐫 (gdim, z)."""
+        tilt = np.einsum("ni,biz->nbz", self.n, δa)  # 𝐧·δ𝐚_β
+        shear = np.einsum("nai,biz->nabz", self.dual, δa)  # 𝐚^α·δ𝐚_β
+        metric = self.dual @ np.swapaxes(self.dual, 1, 2)
+        δdual = -np.einsum("nabz,nbi->naiz", shear, self.dual) + np.einsum("nab,nbz,ni->naiz", metric, tilt, self.n)
+        δn = -np.einsum("nbz,nbi->niz", tilt, self.dual)
+        δalong = np.einsum("naiz,ni->naz", δdual, self.r) + self.dual @ δr
+        return δdual, δn, δalong, np.einsum("niz,ni->nz", δn, self.r) + self.n @ δr
+
+    def vary_carry(self, Δa: Array, δa: Array, δr: Array) -> Array:
+        """(n, gdim, z) δ𝐀^α Δ𝐚_α."""
+        δdual, δn, δalong, δheight = self.vary_parts(δa, δr)
+        lift = (Δa @ self.n[:, :, None])[:, :, 0]  # 𝐧·Δ𝐚_α
+        turned = np.einsum("na,nai->ni", lift, self.dual)
+        δlift = np.einsum("nai,niz->naz", Δa, δn)
+        δturned = np.einsum("na,naiz->niz", lift, δdual) + np.einsum("naz,nai->niz", δlift, self.dual)
+        moved = np.einsum("naz,nai->niz", δalong, Δa)
+        return np.asarray(moved - turned[:, :, None] * δheight[:, None] - self.height[:, None, None] * δturned)
+
+    def vary_transposed(self, F: Array, δa: Array, δr: Array) -> Array:
+        """(n, dim, gdim, z) (δ𝐀^α)ᵀ 𝐅."""
+        δdual, δn, δalong, δheight = self.vary_parts(δa, δr)
+        lifted = (self.dual @ F[:, :, None])[:, :, 0]  # 𝐚^α·𝐅
+        δlifted = np.einsum("naiz,ni->naz", δdual, F)
+        height = self.height[:, None, None]
+        factor = lifted[:, :, None] * δheight[:, None] + height * δlifted
+        moved = δalong[:, :, None] * F[:, None, :, None] - factor[:, :, None] * self.n[:, None, :, None]
+        return np.asarray(moved - (height * lifted[:, :, None])[..., None] * δn[:, None])
+
+
+class StepLevel(Kinematics):
+    """Kinematics of a time step from 𝐮_n to 𝐮_{n+1}.
+
+    Eq. (1) holds with the penetration at the end of the step and the relative motion 𝐰 over it in place of the slip.
+
+    Attributes:
+        at: the material points that forces act on, with the target's normal in the middle of the predicted step for ν, and
+            the penetration at the end of the step for g.
+        end: what the points face at the end of the step.
+    """
+
+    def __init__(self, before: Kinematics) -> None:
+        super().__init__(before.points, before._u, before.target, before.friction)
+        self.x, self.at, self.s, self.may_close = before.x, before.at, before.s, before.may_close
+        self.set_history(before.history)
+        self.end = self.pair = self.at
+        self._remember()
+
+    # ---------------------------------------------------------------- a step
+
+    def predict(self) -> None:
+        """Choose the step's material points and directions, from the displacements in the middle of the predicted step."""
+        self.target.refresh()
+        self.pair = self.target.project(self.contactor())
+
+    def begin(self) -> None:
+        """The step starts from the present displacements."""
+        self.target.refresh()
+        now = self.contactor()
+        before = self.target.project(now)
+        missing = np.flatnonzero(before.facing & ~self.pair.facing)
+        self._adopt(before, missing)
+        self._remember()
+        self._known, self._g0 = before.facing, before.g
+        self._follows = FOLLOWS
+
+    def follow(self) -> bool:
+        """Choose points and directions again, from the middle of the step as the iteration has it now; whether they changed.
+        The prediction knows nothing of an impact; a few iterations do, and then the choice is held."""
+        if self.target.is_rigid or self._follows == 0:
+            return False
+        self._follows -= 1
+        place, before = self.target.place, self._place0
+        assert isinstance(place, np.ndarray) and isinstance(before, np.ndarray)
+        middle = self.target.project(self.contactor((self._nodes0 + self.nodes()) / 2), (before + place) / 2)
+        self._adopt(middle, np.flatnonzero(middle.facing))
+        return True
+
+    def _remember(self) -> None:
+        now = self.contactor()
+        self._x0, self._a0, self._place0 = now.x, now.tangents, self.target.place
+        self._nodes0 = self.nodes()
+        self._known, self._g0 = np.zeros(len(now.x), dtype=bool), np.zeros(len(now.x))
+
+    def _adopt(self, at: Projection, where: Index) -> None:
+        """Take the points and directions of another projection at some points."""
+        for name in ("facing", "N", "dN", "y", "a", "ν", "g"):
+            getattr(self.pair, name)[where] = getattr(at, name)[where]
+        self.pair.point.facet[where], self.pair.point.η[where] = at.point.facet[where], at.point.η[where]
+
+    def evaluate(self) -> None:
+        self.target.refresh()
+        now = self.contactor()
+        self.x, self.end = now.x, self.target.project(now)
+        unpaired = np.flatnonzero(self.end.facing & ~self.pair.facing & (self.end.g >= -self.touch))
+        if len(unpaired):  # contact that the prediction did not see
+            self._adopt(self.end, unpaired)
+        pair = self.pair
+        m = scaled_normal(pair)
+        cos = 1.0 / np.linalg.norm(m, axis=1)
+        self._m, ν = m, m * cos[:, None]
+        r0 = self._x0 - self.target.positions(pair.point, pair.N, self._place0)
+        r1 = now.x - self.target.positions(pair.point, pair.N)
+        self._w = r1 - r0
+        if not self.target.is_rigid:
+            a = (self._a0 + now.tangents) / 2
+            self.lever = Lever.of(a, self.points.normals(a), (r0 + r1) / 2)
+            self._Δa = now.tangents - self._a0
+            self._w = self._w - self.lever.carry(self._Δa)
+        self.may_close = self.end.facing & pair.facing
+        self.at = Projection(pair.point, self.may_close, pair.N, pair.dN, pair.y, pair.a, ν, self.end.g)
+        self.s = self._w if self.friction else None
+        self._q = dot(self._w, self._w) + (STILL * self.target.size) ** 2
+        miss = (self.end.g - self._g0) + dot(m, self._w)
+        sound = self._known & self.may_close & (np.abs(miss) <= np.sqrt(self._q))
+        self._κ = np.where(sound, -miss / self._q, 0.0)
+        self._c = m - ν + self._κ[:, None] * self._w
+
+    @property
+    def faced(self) -> Projection:
+        return self.end
+
+    def passed_through(self, state: LawState) -> Bool:
+        """(n,) open points that the step has carried into the target or through it."""
+        free = np.flatnonzero(state.status == OPEN)
+        passed = np.zeros(len(state.status), dtype=bool)
+        if isinstance(self.target, DeformableTarget):
+            places = self._place0, self.target.place
+            before, after = (place for place in places if isinstance(place, np.ndarray))
+            depth = DEPTH * self.target.size
+            passed[free] = passed_through(self.target.surface, before, after, self._x0[free], self.x[free], depth)
+        return passed
+
+    # ---------------------------------------------------------------- forces
+
+    def slots(self, multiplier: int) -> Slots:
+        own = () if self.target.is_rigid else tuple(f"x,{α}" for α in range(self.target.dim))
+        return Slots(self.target.dim + 1, multiplier, ("x", "w", *own, "w_e"))
+
+    def _total(self, state: LawState) -> Array:
+        """(n, gdim) 𝐅 = 𝐭 + p(𝐦̂ − ν + κ𝐰)."""
+        return state.t + state.p[:, None] * self._c
+
+    def forces(self, state: LawState) -> Forces:
+        F = self._total(state)
+        return Forces(-F, F, None if self.target.is_rigid else self.lever.transposed(F))
+
+    def work(self, state: LawState, j: Array) -> StepWork:
+        """What the tractions did in the step; j (n,) weights (m²)."""
+        total = float(j @ dot(self._total(state), self._w))
+        friction = float(j @ dot(state.t - state.p[:, None] * self.at.ν, self._w))
+        by_obstacle = 0.0
+        if self.target.is_rigid:
+            moved = self.target.positions(self.pair.point, self.pair.N) - self.target.positions(
+                self.pair.point, self.pair.N, self._place0
+            )
+            by_obstacle = float(j @ dot(self._total(state), moved))
+        return StepWork(total - friction, friction, by_obstacle)
+
+    def linearise(
+        self, law: Frictionless | Coulomb, state: LawState, Λ: Array, act: Index, slots: Slots
+    ) -> tuple[Array, Array]:
+        """δ of −𝐅 (on N1 U1*), 𝐅 (on N2 U2*) and (𝐀^α)ᵀ𝐅 (on N1,α U1*)."""
+        at, w, κ, q = self.at.take(act), self._w[act], self._κ[act], self._q[act]
+        n, z, d = len(act), slots.size, slots.gdim
+        δr = slots.slot("x") - slots.slot("w")
+        δw = np.broadcast_to(δr, (n, d, z))
+        if not self.target.is_rigid:
+            lever, δa = Lever(*(v[act] for v in vars(self.lever).values())), slots.derivatives("x")
+            δw = δw - _carry(lever, δa) - lever.vary_carry(self._Δa[act], δa / 2, δr / 2)
+        δg = vary_gap(self.end.take(act), slots, "w_e")
+        δ = Variation(np.zeros((n, 0, z)), δg, np.zeros((n, d, z)), slots.multiplier_slot()[None], δw)
+        δt, δresidual = law.linearise(state, Λ, at, None if self.s is None else w, δ)
+        δp = np.einsum("ni,niz->nz", at.ν, δt)
+        turn = np.einsum("ni,niz->nz", w, δw)
+        on = (κ != 0.0)[:, None]
+        δκ = on * (-(δg + np.einsum("ni,niz->nz", self._m[act], δw)) - 2 * κ[:, None] * turn) / q[:, None]
+        p = state.p[:, None, None]
+        δF = δt + self._c[act][:, :, None] * δp[:, None] + p * (w[:, :, None] * δκ[:, None] + κ[:, None, None] * δw)
+        C = np.stack([-δF, δF], axis=1)
+        if not self.target.is_rigid:
+            F = self._total_at(state, act)
+            on_tangents = _transposed(lever, δF) + lever.vary_transposed(F, δa / 2, δr / 2)
+            C = np.concatenate([C, on_tangents], axis=1)
+        return C, δresidual
+
+    def _total_at(self, state: LawState, act: Index) -> Array:
+        return state.t + state.p[:, None] * self._c[act]
+
+    def rows(self, act: Index) -> Array:
+        """N1; N2; N1,α."""
+        own = 0 if self.target.is_rigid else self.target.dim
+        B, k1, _ = self._shape_rows(act, 2 + own)
+        if own:
+            B[:, 2:, :k1] = self.points.dN[act]
+        return B
+
+    def columns(self, act: Index) -> Array:
+        """The rows' operators, and N2 on the facet faced at the end."""
+        rows, end = self.rows(act), self.end.N[act]
+        n, r, k = rows.shape
+        B = np.zeros((n, r + 1, k + end.shape[1]))
+        B[:, :r, :k], B[:, r, k:] = rows, end
+        return B
+
+    @property
+    def extra(self) -> TargetPoint | None:
+        return self.end.point
+
+    # ---------------------------------------------------------------- velocities at the end of the step
+
+    def rates(self, state: LawState, hold: Bool) -> Rates:
+        """Relative velocities at the end of the step that persistent contact does not allow: normal ones at closed points,
+        tangential ones too where they stick and `hold` (n,) says so."""
+        act = np.flatnonzero((state.status != OPEN) & (state.p > 0))
+        end, d = self.end.take(act), self.target.dim + 1
+        own = () if self.target.is_rigid else tuple(f"x,{α}" for α in range(self.target.dim))
+        slots = Slots(d, 0, ("x", "w", *own))
+        N1 = self.points.N[act]
+        k1 = N1.shape[1]
+        B = np.zeros((len(act), len(slots.names), k1 + end.N.shape[1]))
+        B[:, 0, :k1], B[:, 1, k1:] = N1, end.N
+        if own:
+            B[:, 2:, :k1] = self.points.dN[act]
+        swept: Array = np.zeros((len(act), d))
+        if self.target.is_rigid:
+            swept = end.y - self.target.positions(end.point, end.N, self._place0)
+        part = -vary_gap(end, slots, "w")
+        if not self.friction:
+            one, none = part[:, None], np.zeros((len(act), 1, 1))
+            return Rates(act, end.point.facet, one, one, B, none, dot(end.ν, swept)[:, None], swept)
+        slide = np.broadcast_to(slots.slot("x") - slots.slot("w"), (len(act), d, slots.size))
+        if own:
+            now = self.contactor()
+            slide = slide - _carry(
+                Lever.of(now.tangents[act], now.normal[act], now.x[act] - end.y), slots.derivatives("x")
+            )
+        νν = end.ν[:, :, None] * end.ν[:, None]
+        held = (hold & (state.status == STICK))[act, None, None]
+        P = (np.eye(d) - νν) * held
+        f = (state.p[:, None] * self.at.ν - state.t)[act] / state.p[act, None]
+        along = part - np.einsum("ni,niz->nz", f * ~held[:, 0], slide)
+        G, H = (P @ slide + end.ν[:, :, None] * normal[:, None] for normal in (part, along))
+        return Rates(act, end.point.facet, G, H, B, np.eye(d) - P - νν, ((P + νν) @ swept[:, :, None])[:, :, 0], swept)
+
+
+def _carry(lever: Lever, δa: Array) -> Array:
+    """(n, gdim, z) 𝐀^α δ𝐚_α of maps δ𝐚_α (dim, gdim, z)."""
+    tilt = np.einsum("ni,aiz->naz", lever.n, δa)
+    turned = np.einsum("naz,nai->niz", tilt, lever.dual)
+    return np.asarray(np.einsum("na,aiz->niz", lever.along, δa) - lever.height[:, None, None] * turned)
+
+
+def _transposed(lever: Lever, δF: Array) -> Array:
+    """(n, dim, gdim, z) (𝐀^α)ᵀ δ𝐅."""
+    lifted = (lever.dual @ δF) * lever.height[:, None, None]
+    return np.asarray(lever.along[:, :, None, None] * δF[:, None] - lifted[:, :, None] * lever.n[:, None, :, None])

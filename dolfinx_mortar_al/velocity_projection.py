@@ -1,0 +1,193 @@
+"""Velocities at the end of a step that persistent contact allows.
+
+The positions of a step say nothing of the velocity with which a point in contact leaves it: with the mid-point rule that
+of a node at rest on its target would swing from step to step and make the pressure swing with it. So the relative velocity
+𝐆𝐯 of closed points is brought to zero, the normal part and, where they stick, the tangential one, weakly with the
+multiplier's shape functions, by impulses 𝐈:
+
+    𝐌(𝐯 − 𝐯*) = 𝐇ᵀ𝐈,   𝐆𝐯 = −𝐃𝐈,
+
+𝐃 ≥ 0 from the open points of a multiplier's support. Where points stick, or there is no friction, 𝐇 = 𝐆: 𝐯 is the closest
+such velocity in the norm of the mass and kinetic energy can only fall, by what the impact of nodes takes. Where they slip
+impulses act along the step's traction; where a sticking point's impulse would leave Coulomb's cone it is let slip. 𝐆 and
+𝐇 are zero for rigid motions: momentum and angular momentum stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from dolfinx_mortar_al.blocks import apply_columns
+from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.law import Coulomb
+from dolfinx_mortar_al.motion import Motion
+from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector
+from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.step_level import StepLevel
+
+__all__ = ["Settled", "VelocityProjection"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Bool = NDArray[np.bool_]
+
+_ADD = PETSc.InsertMode.ADD
+
+CONE = 1e-10  # share of the bound by which round-off may leave Coulomb's cone
+PASSES = 4  # rounds in which sticking points are let slip; after them all are
+
+
+class Settled:
+    """What a projection did: kinetic energy lost and work of obstacles (J), and the impulse on each contactor (N s)."""
+
+    def __init__(self, lost: float, by_obstacles: float, impulses: list[Array]) -> None:
+        self.lost, self.by_obstacles, self.impulses = lost, by_obstacles, impulses
+
+
+class VelocityProjection:
+    """The projection for the bodies and pairs of a problem.
+
+    Args:
+        problem: whose pairs have step kinematics.
+        motions: one per body.
+    """
+
+    def __init__(self, problem: ContactProblem, motions: Sequence[Motion]) -> None:
+        self._problem, self._motions = problem, motions
+        self._mass, diagonals = problem.bodies.masses([motion.mass_form for motion in motions])
+        #: (kg/m²) of each pair's surface
+        self._density = [pair.surface_stiffness(diagonals) for pair in problem.pairs]
+        self._layouts = [problem.bodies.layout]
+        self._layouts += [Layout.of(pair.multiplier.field.function_space) for pair in problem.pairs]
+
+    def apply(self, Δt: float) -> Settled:
+        """Change the motions' velocities at the end of a step of length Δt (collective)."""
+        problem = self._problem
+        closed = [problem.comm.allreduce(bool(pair.active.closed.any()), MPI.LOR) for pair in problem.pairs]
+        if not any(closed):
+            return Settled(0.0, 0.0, [np.zeros(problem.gdim) for _ in problem.pairs])
+        hold: list[Bool] = [np.ones(pair.integration.size, dtype=bool) for pair in problem.pairs]
+        for round_ in range(PASSES + 1):
+            parts = [_Part(pair, k, still) for pair, k, still in zip(problem.pairs, self._density, hold, strict=True)]
+            δv, impulses = self._solve(parts, Δt)
+            loose = [part.leaves_cone(i, Δt) for part, i in zip(parts, impulses, strict=True)]
+            if round_ == PASSES or not problem.comm.allreduce(any(bool(some.any()) for some in loose), MPI.LOR):
+                break
+            last = round_ == PASSES - 1
+            hold = [still & ~(some | last) for still, some in zip(hold, loose, strict=True)]
+        fields = [motion.velocity for motion in self._motions]
+        before = sum(motion.kinetic_energy() for motion in self._motions)
+        problem.bodies.spread(problem.bodies.owned(fields) + δv, fields)
+        gain = sum(motion.kinetic_energy() for motion in self._motions) - before
+        found = [part.impulse(i, Δt) for part, i in zip(parts, impulses, strict=True)]
+        work = sum(done for _, done in found)
+        return Settled(work - gain, work, [impulse for impulse, _ in found])
+
+    def _solve(self, parts: list[_Part], Δt: float) -> tuple[Array, list[Array]]:
+        """δ𝐯 (owned dofs,) and each pair's impulses at its points (n, components) (N s/m²)."""
+        problem, n = self._problem, len(self._layouts)
+        blocks: list[list[Any]] = [[None] * n for _ in range(n)]
+        blocks[0][0] = self._mass
+        vectors = [layout.vector() for layout in self._layouts]
+        now = vectors[0].duplicate()
+        now.array[:] = problem.bodies.owned([motion.velocity for motion in self._motions])
+        for k, (pair, part) in enumerate(zip(problem.pairs, parts, strict=True), start=1):
+            G, H, D = (empty_matrix(self._layouts[k], self._layouts[column]) for column in (0, 0, k))
+            for A, elements in ((G, part.G), (H, part.H), (D, part.D)):
+                insert(A, *elements)
+            idle = pair.multiplier.idle
+            D.setValuesRCV(idle[:, None], idle[:, None], np.full((len(idle), 1, 1), pair.area), _ADD)
+            for A in (G, H, D):
+                A.assemble()
+            H.scale(-1.0)
+            insert_vector(vectors[k], *part.carried(Δt))
+            vectors[k].assemble()
+            G.mult(now, swept := vectors[k].duplicate())
+            vectors[k].axpy(-1.0, swept)
+            blocks[k][0], blocks[k][k], blocks[0][k] = G, D, H.transpose(PETSc.Mat())
+        nest, right = (
+            PETSc.Mat().createNest(blocks, comm=problem.comm),
+            PETSc.Vec().createNest(vectors, comm=problem.comm),
+        )
+        nest.assemble()
+        solver, solution = PETSc.KSP().create(problem.comm), right.duplicate()
+        solver.setOperators(nest)
+        solver.setType("preonly")
+        solver.getPC().setType("lu")
+        solver.getPC().setFactorSolverType("mumps")
+        solver.solve(right, solution)
+        δv, *multipliers = solution.getNestSubVecs()
+        return δv.array_r.copy(), [part.at_points(v) for part, v in zip(parts, multipliers, strict=True)]
+
+
+class _Part:
+    """A pair's share of the system.
+
+    Attributes:
+        G, H, D: element matrices with global blocks, H not transposed.
+    """
+
+    def __init__(self, pair: ContactPair, density: float, hold: Bool) -> None:
+        level, blocks, points = pair.kinematics, pair.blocks, pair.integration
+        assert isinstance(level, StepLevel)
+        m, N = pair.multiplier.components, blocks.NΛ
+        self._rates = rates = level.rates(pair.state, hold)
+        self._pair, self._N, self._j = pair, N[rates.act], pair.j[rates.act]
+        self._facet, target = points.facet[rates.act], pair.target.facets[rates.facet]
+        self._rows: Index = pair.multiplier.blocks[self._facet]
+        nodes = np.concatenate([blocks.contactor[self._facet], pair.target.blocks[target]], axis=1)
+        fixed = np.concatenate([blocks.fixed[self._facet], pair.target.fixed[target]], axis=1)
+        self.G, self.H = ((self._rows, nodes, self._of_nodes(rate, fixed)) for rate in (rates.G, rates.H))
+        weight = np.broadcast_to(np.eye(m), (points.size, m, m)).copy()
+        weight[rates.act] = rates.free
+        weight *= pair.j[:, None, None]
+        D: Array = np.asarray(N[:, :, :, None, None] * weight[:, None, :, None, :] * N[:, None, None], dtype=np.float64)
+        self.D = pair.multiplier.blocks, pair.multiplier.blocks, points.sum_by_facet(D) / density
+
+    def _of_nodes(self, rate: Array, fixed: Bool) -> Array:
+        """(n, multiplier nodes, m, nodes, gdim) of a rate (n, m, z) in the slots."""
+        nodal = apply_columns(rate * self._j[:, None, None], self._rates.B, fixed.shape[2])  # (n, m, nodes, gdim)
+        return np.asarray(self._N[:, :, :, None, None] * np.where(fixed[:, None], 0.0, nodal)[:, None])
+
+    def carried(self, Δt: float) -> tuple[Index, Array]:
+        """∫ N × (an obstacle's share of the relative velocity) as global blocks and element vectors."""
+        return self._rows, self._N * (self._j[:, None] * self._rates.carried / Δt)[:, None]
+
+    def at_points(self, multiplier: PETSc.Vec) -> Array:
+        """(n, components) impulses per area at the closed points (N s/m²); ghosts are fetched (collective)."""
+        field = self._pair.multiplier.field.copy()
+        field.x.array[: multiplier.getLocalSize()] = multiplier.array_r
+        field.x.scatter_forward()
+        nodal = field.x.array.reshape(-1, self._pair.multiplier.components)[self._pair.multiplier.dofs]
+        return np.asarray((self._N * nodal[self._facet]).sum(axis=1))
+
+    def _on_contactor(self, impulses: Array) -> Array:
+        """(n, gdim) impulses per area as vectors."""
+        return np.einsum("nmi,nm->ni", self._rates.H[:, :, : self._pair.gdim], impulses)
+
+    def leaves_cone(self, impulses: Array, Δt: float) -> Bool:
+        """(all points,) the sticking ones at which traction and impulse together break Coulomb's law."""
+        pair, act = self._pair, self._rates.act
+        leaves = np.zeros(pair.integration.size, dtype=bool)
+        if isinstance(pair.law, Coulomb):
+            ν = pair.at.ν[act]
+            total = pair.kinematics.traction(pair.state)[act] * Δt + self._on_contactor(impulses)
+            normal = np.einsum("ni,ni->n", ν, total)
+            tangential = np.linalg.norm(total - normal[:, None] * ν, axis=1)
+            scale = pair.law.μ * pair.state.p[act] * Δt
+            held = self._rates.free.trace(axis1=1, axis2=2) < 0.5
+            leaves[act] = held & (tangential > pair.law.μ * normal + CONE * scale)
+        return leaves
+
+    def impulse(self, impulses: Array, Δt: float) -> tuple[Array, float]:
+        """Impulse on the contactor (gdim,) (N s), and the work of an obstacle that moves (J); collective."""
+        vectors, comm = self._on_contactor(impulses) * self._j[:, None], self._pair.comm
+        return np.asarray(comm.allreduce(vectors.sum(axis=0))), comm.allreduce(
+            float((vectors * self._rates.swept).sum()) / Δt
+        )
