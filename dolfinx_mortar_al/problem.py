@@ -212,7 +212,8 @@ class ContactProblem:
         with self.stopwatch("contact"):
             followed = [pair.kinematics.follow() for pair in self.pairs]
             if any(followed):
-                self.evaluate()
+                for pair in self.pairs:
+                    pair.apply_law()
             changed = [pair.decide(part) for pair, part in zip(self.pairs, parts[1:], strict=True)]
             if not any(changed) and not any(followed):
                 return False

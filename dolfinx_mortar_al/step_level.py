@@ -21,7 +21,7 @@ from dolfinx_mortar_al.kinematics import Forces, Kinematics
 from dolfinx_mortar_al.law import OPEN, STICK, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.projection import Projection, TargetPoint, dot, inverse
 from dolfinx_mortar_al.swept import passed_through
-from dolfinx_mortar_al.targets import DeformableTarget
+from dolfinx_mortar_al.targets import DeformableTarget, Place
 from dolfinx_mortar_al.variation import Slots, Variation, scaled_normal, vary_gap
 
 __all__ = ["Rates", "StepLevel", "StepWork"]
@@ -155,25 +155,43 @@ class StepLevel(Kinematics):
         self.x, self.at, self.s, self.may_close = before.x, before.at, before.s, before.may_close
         self.set_history(before.history)
         self.end = self.pair = self.at
+        self._place: Place | None = None
         self._remember()
+        self._known: Bool = np.zeros(self.points.size, dtype=bool)
+        self._g0: Array = np.zeros(self.points.size)
+        self._follows = 0
 
     # ---------------------------------------------------------------- a step
 
     def predict(self) -> None:
-        """Choose the step's material points and directions, from the displacements in the middle of the predicted step."""
-        self.target.refresh()
-        self.pair = self.target.project(self.contactor())
+        """Choose the points and directions of a rigid target's step, in the middle of the predicted one."""
+        if self.target.is_rigid:
+            self.pair = self.target.project(self.contactor())
 
     def begin(self) -> None:
-        """The step starts from the present displacements."""
+        """The step starts from the present displacements. The points and directions of a deformable target are chosen in the
+        first iterations."""
         self.target.refresh()
-        now = self.contactor()
-        before = self.target.project(now)
-        missing = np.flatnonzero(before.facing & ~self.pair.facing)
-        self._adopt(before, missing)
+        if self.target.is_rigid or not self._is_projected():
+            self._project()
+        if not self.target.is_rigid:
+            self.pair = self.end.take(np.arange(self.points.size))
         self._remember()
-        self._known, self._g0 = before.facing, before.g
+        self._known, self._g0 = self.end.facing, self.end.g
         self._follows = FOLLOWS
+
+    def _project(self) -> None:
+        """What the points face now."""
+        self._now, self._place = self.contactor(), self.target.place
+        self.x, self.end = self._now.x, self.target.project(self._now)
+
+    def _is_projected(self) -> bool:
+        """Whether nothing has moved since a deformable target was projected onto last."""
+        return (
+            self._place is not None
+            and np.array_equal(self.positions(), self.x)
+            and bool(np.array_equal(np.asarray(self._place), np.asarray(self.target.place)))
+        )
 
     def follow(self) -> bool:
         """Choose points and directions again, from the middle of the step as the iteration has it now; whether they changed.
@@ -185,13 +203,13 @@ class StepLevel(Kinematics):
         assert isinstance(place, np.ndarray) and isinstance(before, np.ndarray)
         middle = self.target.project(self.contactor((self._nodes0 + self.nodes()) / 2), (before + place) / 2)
         self._adopt(middle, np.flatnonzero(middle.facing))
+        self._relate()
         return True
 
     def _remember(self) -> None:
         now = self.contactor()
         self._x0, self._a0, self._place0 = now.x, now.tangents, self.target.place
         self._nodes0 = self.nodes()
-        self._known, self._g0 = np.zeros(len(now.x), dtype=bool), np.zeros(len(now.x))
 
     def _adopt(self, at: Projection, where: Index) -> None:
         """Take the points and directions of another projection at some points."""
@@ -201,8 +219,12 @@ class StepLevel(Kinematics):
 
     def evaluate(self) -> None:
         self.target.refresh()
-        now = self.contactor()
-        self.x, self.end = now.x, self.target.project(now)
+        self._project()
+        self._relate()
+
+    def _relate(self) -> None:
+        """The relative motion over the step, and what the law sees of it."""
+        now = self._now
         unpaired = np.flatnonzero(self.end.facing & ~self.pair.facing & (self.end.g >= -self.touch))
         if len(unpaired):  # contact that the prediction did not see
             self._adopt(self.end, unpaired)

@@ -23,7 +23,7 @@ from dolfinx_mortar_al.rays import cast
 from dolfinx_mortar_al.search import CandidateSearch, RaySearch
 from dolfinx_mortar_al.surface import Facets, Surface
 
-__all__ = ["ContactorPoints", "DeformableTarget", "RigidTarget", "Target", "target_of"]
+__all__ = ["ContactorPoints", "DeformableTarget", "Place", "RigidTarget", "Target", "target_of"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

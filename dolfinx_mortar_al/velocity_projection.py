@@ -65,6 +65,9 @@ class VelocityProjection:
         self._density = [pair.surface_stiffness(diagonals) for pair in problem.pairs]
         self._layouts = [problem.bodies.layout]
         self._layouts += [Layout.of(pair.multiplier.field.function_space) for pair in problem.pairs]
+        self._couples: list[Index] | None = None
+        self._nest: Any = None
+        self._solver: Any = None
 
     def apply(self, Δt: float) -> Settled:
         """Change the motions' velocities at the end of a step of length Δt (collective)."""
@@ -91,39 +94,61 @@ class VelocityProjection:
 
     def _solve(self, parts: list[_Part], Δt: float) -> tuple[Array, list[Array]]:
         """δ𝐯 (owned dofs,) and each pair's impulses at its points (n, components) (N s/m²)."""
-        problem, n = self._problem, len(self._layouts)
-        blocks: list[list[Any]] = [[None] * n for _ in range(n)]
-        blocks[0][0] = self._mass
+        if not self._fits(parts):
+            self._make_system(parts)
+        problem = self._problem
         vectors = [layout.vector() for layout in self._layouts]
         now = vectors[0].duplicate()
         now.array[:] = problem.bodies.owned([motion.velocity for motion in self._motions])
         for k, (pair, part) in enumerate(zip(problem.pairs, parts, strict=True), start=1):
-            G, H, D = (empty_matrix(self._layouts[k], self._layouts[column]) for column in (0, 0, k))
+            G, H, D = self._blocks[k - 1]
             for A, elements in ((G, part.G), (H, part.H), (D, part.D)):
+                A.zeroEntries()
                 insert(A, *elements)
             idle = pair.multiplier.idle
             D.setValuesRCV(idle[:, None], idle[:, None], np.full((len(idle), 1, 1), pair.area), _ADD)
             for A in (G, H, D):
                 A.assemble()
             H.scale(-1.0)
+            H.transpose(self._nest.getNestSubMatrix(0, k))
             insert_vector(vectors[k], *part.carried(Δt))
             vectors[k].assemble()
             G.mult(now, swept := vectors[k].duplicate())
             vectors[k].axpy(-1.0, swept)
-            blocks[k][0], blocks[k][k], blocks[0][k] = G, D, H.transpose(PETSc.Mat())
-        nest, right = (
-            PETSc.Mat().createNest(blocks, comm=problem.comm),
-            PETSc.Vec().createNest(vectors, comm=problem.comm),
-        )
-        nest.assemble()
-        solver, solution = PETSc.KSP().create(problem.comm), right.duplicate()
-        solver.setOperators(nest)
-        solver.setType("preonly")
-        solver.getPC().setType("lu")
-        solver.getPC().setFactorSolverType("mumps")
-        solver.solve(right, solution)
+        self._nest.assemble()
+        right = PETSc.Vec().createNest(vectors, comm=problem.comm)
+        self._solver.setOperators(self._nest)
+        self._solver.solve(right, solution := right.duplicate())
         δv, *multipliers = solution.getNestSubVecs()
         return δv.array_r.copy(), [part.at_points(v) for part, v in zip(parts, multipliers, strict=True)]
+
+    def _fits(self, parts: list[_Part]) -> bool:
+        """Whether the matrices have the pattern of these parts on all ranks: they and their factorisation are kept then."""
+        couples = [part.couples for part in parts]
+        fits = self._couples is not None and all(map(np.array_equal, self._couples, couples))
+        self._couples = couples
+        return bool(self._problem.comm.allreduce(fits, MPI.LAND))
+
+    def _make_system(self, parts: list[_Part]) -> None:
+        comm, n = self._problem.comm, len(self._layouts)
+        blocks: list[list[Any]] = [[None] * n for _ in range(n)]
+        blocks[0][0], self._blocks = self._mass, []
+        for k, (pair, part) in enumerate(zip(self._problem.pairs, parts, strict=True), start=1):
+            G, H, D = (empty_matrix(self._layouts[k], self._layouts[column]) for column in (0, 0, k))
+            for A, (rows, columns, values) in ((G, part.G), (H, part.H), (D, part.D)):
+                insert(A, rows, columns, np.zeros_like(values))
+            idle = pair.multiplier.idle
+            D.setValuesRCV(idle[:, None], idle[:, None], np.zeros((len(idle), 1, 1)), _ADD)
+            for A in (G, H, D):
+                A.assemble()
+            blocks[k][0], blocks[k][k], blocks[0][k] = G, D, H.transpose(PETSc.Mat())
+            self._blocks.append((G, H, D))
+        self._nest = PETSc.Mat().createNest(blocks, comm=comm)
+        self._nest.assemble()
+        self._solver = PETSc.KSP().create(comm)
+        self._solver.setType("preonly")
+        self._solver.getPC().setType("lu")
+        self._solver.getPC().setFactorSolverType("mumps")
 
 
 class _Part:
@@ -143,6 +168,8 @@ class _Part:
         self._rows: Index = pair.multiplier.blocks[self._facet]
         nodes = np.concatenate([blocks.contactor[self._facet], pair.target.blocks[target]], axis=1)
         fixed = np.concatenate([blocks.fixed[self._facet], pair.target.fixed[target]], axis=1)
+        #: (2, n) contactor and target facet of each closed point
+        self.couples = np.stack([self._facet, rates.facet])
         self.G, self.H = ((self._rows, nodes, self._of_nodes(rate, fixed)) for rate in (rates.G, rates.H))
         weight = np.broadcast_to(np.eye(m), (points.size, m, m)).copy()
         weight[rates.act] = rates.free

@@ -41,8 +41,6 @@ def in_step(dim, order, friction, projection, triangles=False):
     start = lambda X: bend(X) + rough(2e-4, 1)(X)  # noqa: E731
     end = lambda X: turned(X + bend(X) + rough(3e-4, 2)(X), 0.02) - X  # noqa: E731
     Λ = lambda X: 2e3 * (rough(1, 3)(X) + np.array([0.2, 0.6, 0.1])[: X.shape[1]])  # noqa: E731
-    set_field(problem, lambda X: (start(X) + end(X)) / 2, clamped=False)
-    level.predict()
     set_field(problem, start, clamped=False)
     level.begin()
     return problem, end, Λ
@@ -54,6 +52,8 @@ def closed_by_law(problem, u, Λ):
     problem.pack(problem.x)
     problem.assemble_residual(problem.x, problem.residual)
     pair = problem.pairs[0]
+    assert pair.kinematics.follow()
+    pair.apply_law()
     pair.active.closed = pair.kinematics.may_close & (pair.state.λN_hat > 0)
     problem.assemble_residual(problem.x, problem.residual)
     return pair
