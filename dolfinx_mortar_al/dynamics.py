@@ -16,6 +16,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al import validation
 from dolfinx_mortar_al.added_mass import AddedMass
 from dolfinx_mortar_al.contact import ContactPair
 from dolfinx_mortar_al.kinematics import VelocityLevel
@@ -24,6 +25,7 @@ from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.newton import NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot
 from dolfinx_mortar_al.quasistatic import StepFailure
+from dolfinx_mortar_al.ranks import agreed
 
 __all__ = ["Ledger", "Motion", "Step", "march"]
 
@@ -95,17 +97,25 @@ def march(
         ledger: to go on with, from an earlier march.
 
     Raises:
-        ValueError: `to` not after `start`.
+        ValueError: `to` not after `start`, motions that are not those of the problem, one for each displacement, or a
+            redistributed mass that is not positive.
         StepFailure: on every rank.
     """
-    if not to > start:
-        raise ValueError(f"to = {to}: must be later than start = {start}")
-    all_motions = [motions] if isinstance(motions, Motion) else list(motions)
+    all_motions = validation.listed("motions", motions, Motion, "a Motion")
+    if move is not None:
+        validation.check_callable("move", move, "the time")
+    validation.check_motions(all_motions, [body.u for body in problem.bodies.bodies])
+    start, smallest = validation.number("start", start), validation.number("smallest", smallest, above=0.0, most=1.0)
+    to = validation.number("to", to, above=start, must="the end of the march must be")
+    agreed(problem.comm, "start, to, Δt", (start, to, [float(motion.Δt.value) for motion in all_motions]))
     problem.terms = [term for term in problem.terms if not isinstance(term, AddedMass)]
+    if redistribute and not problem.pairs:
+        raise ValueError("redistribute=True: the problem has no contactor to take mass from; leave it out")
     if redistribute:
         problem.terms.append(AddedMass(problem.bodies, all_motions, problem.pairs))
     problem.members |= {f"motion{k}": motion for k, motion in enumerate(all_motions)}
     stepper = _Stepper(problem, all_motions, move, solver, ledger)
+    stepper.check_kinetic()
     longest = float(stepper.motions[0].Δt.value)
     steps = int(np.ceil((to - start) / longest - 1e-9))
     time, Δt, number = start, longest, 1
@@ -120,7 +130,9 @@ def march(
         time = mark if nominal else time + trial
         Δt = min(2 * Δt, longest) if stepper.easy else Δt
         number += int(nominal)
-        yield stepper.accept(time, trial, nominal)
+        step = stepper.accept(time, trial, nominal)
+        stepper.check_kinetic()
+        yield step
 
 
 class _Stepper:
@@ -158,6 +170,10 @@ class _Stepper:
         return replace(
             ledger, kinetic=float(energies[0]), strain=float(energies[1]), momentum=momentum, angular_momentum=spin
         )
+
+    def check_kinetic(self) -> None:
+        """Whether the ledger's kinetic energy is one, with a redistributed mass, too."""
+        validation.check_kinetic(self.ledger.kinetic, sum(motion.energies()[0] for motion in self.motions))
 
     def try_step(self, time: float, Δt: float) -> bool:
         """Solve for the state at time + Δt; whether Newton converged."""

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
+import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
@@ -22,7 +23,10 @@ from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.monitors import Finding, Monitor
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector, matrix_with_pattern
 from dolfinx_mortar_al.pieces import Piece
+from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.stopwatch import Stopwatch
+from dolfinx_mortar_al.surface import check_surfaces
+from dolfinx_mortar_al.validation import check_names, listed
 
 __all__ = ["ContactProblem", "Snapshot", "Term"]
 
@@ -68,7 +72,8 @@ class ContactProblem:
 
     Raises:
         ValueError: on every rank: an unsuitable displacement (:class:`~dolfinx_mortar_al.bodies.Bodies`) or surface
-            (:class:`~dolfinx_mortar_al.contact.Contact`), or a start state with det F ≤ 0.
+            (:class:`~dolfinx_mortar_al.contact.Contact`), pairs that are there twice or of one name, a start state with
+            det F ≤ 0 or a contactor wholly behind its target.
     """
 
     def __init__(
@@ -82,12 +87,12 @@ class ContactProblem:
         jacobian: Any = None,
     ) -> None:
         self.stopwatch = Stopwatch()
-        self.u, self.monitors = u, list(monitors)
+        contacts = listed("contacts", contacts, Contact, "a Contact")
+        self.u, self.monitors = u, listed("monitors", monitors, Monitor, "a Monitor")
         with self.stopwatch("forms"):
-            if isinstance(u, fem.Function):
-                self.bodies = Bodies([F], [u], bcs, None if jacobian is None else [jacobian])
-            else:
-                self.bodies = Bodies(F, u, bcs, jacobian)
+            residuals = list(F) if isinstance(F, list | tuple) else [F]
+            jacobians = [jacobian] if isinstance(jacobian, ufl.Form) else jacobian
+            self.bodies = Bodies(residuals, listed("u", u, fem.Function, "a Function"), bcs, jacobians)
         self.comm, self.gdim = self.bodies.comm, self.bodies.gdim
         if self.inverted_volume() > 0:
             raise ValueError(
@@ -96,7 +101,13 @@ class ContactProblem:
         #: further forces
         self.terms: list[Term] = []
         with self.stopwatch("contact set-up"):
-            self.pairs = [ContactPair(c, self.bodies, self.stopwatch) for c in contacts]
+            check_surfaces(contacts)
+            names = check_names([contact.name for contact in contacts])
+            self.pairs = [
+                ContactPair(contact, self.bodies, self.stopwatch, name)
+                for contact, name in zip(contacts, names, strict=True)
+            ]
+            agreed(self.comm, "contacts", [(pair.name, pair.μ, pair.contact.thickness) for pair in self.pairs])
         #: what a snapshot is made of, in the order in which it is restored
         self.members: dict[str, Member] = {"bodies": self.bodies}
         self.members |= {f"pair{k}": pair for k, pair in enumerate(self.pairs)}
@@ -105,12 +116,40 @@ class ContactProblem:
         for pair in self.pairs:
             pair.set_law(pair.surface_stiffness(stiffness))
             pair.start()
+        for pair in self.pairs:
+            pair.check_behind()
         diameter = self.bodies.diameter()
-        #: norm of the bulk's forces at the last evaluation, and a size below which forces do not matter (N)
-        self.force_scale, self.force_reference = 0.0, 0.0
-        largest = max(k.x.array.max(initial=0.0) for k in stiffness)
-        self.force_floor = self.comm.allreduce(2e-15 * largest * diameter, MPI.MAX)
+        #: (pieces,) norm of the bulk's forces at the last evaluation on each connected piece, and their round-off (N)
+        self.force_scale = np.zeros(self.bodies.pieces)
+        self.force_floor = 2e-15 * self.bodies.stiffest(stiffness) * self.bodies.diameters()
+        #: a size of forces that the solver resolves, on all pieces (N)
+        self.force_reference = 0.0
+        self._touched = [self._pieces_of(pair) for pair in self.pairs]
         self.gap_floor = [2e-15 * diameter * pair.area for pair in self.pairs]
+
+    def _pieces_of(self, pair: ContactPair) -> NDArray[np.bool_]:
+        """(pieces,) which connected pieces a pair's forces act on (collective)."""
+        touched = np.zeros(self.bodies.pieces, dtype=np.int32)
+        for k, body in enumerate(self.bodies.bodies):
+            number = fem.Function(body.space)
+            number.x.array[:] = np.repeat(body.piece + self.bodies.first_piece[k], self.gdim)
+            touched[pair.nodal_values(number).astype(int).ravel()] = 1
+        self.comm.Allreduce(MPI.IN_PLACE, touched, MPI.MAX)
+        return np.asarray(touched > 0)
+
+    def residual_ratios(self, f: Sequence[PETSc.Vec], rtol: float) -> list[float]:
+        """Norm of each block of the residual over that below which it counts as converged: forces against those on the same
+        connected piece of a body, of which the worst counts; gaps against pressure over stiffness (collective)."""
+        forces = [pair.nodal_forces() for pair in self.pairs]
+        scale: Array = np.array(np.maximum(self.force_scale, self.force_reference))
+        for force, touched in zip(forces, self._touched, strict=True):
+            np.maximum(scale, force, out=scale, where=touched)
+        tolerance = np.maximum(rtol * scale, self.force_floor)
+        ratios = [float(np.max(self.bodies.norms(f[0].array_r) / tolerance))]
+        for pair, force, floor, part in zip(self.pairs, forces, self.gap_floor, f[1:], strict=True):
+            gap = max(rtol * max(force, self.force_reference) / pair.stiffness, floor)
+            ratios.append(part.norm() / (pair.unit * gap))
+        return ratios
 
     def inverted_volume(self) -> float:
         """Reference volume where det F ≤ 0 or is not a number, at the bulk's Gauss points (collective)."""
