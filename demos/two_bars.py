@@ -23,6 +23,8 @@ from dolfinx import fem
 from mpi4py import MPI
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
+from demo_options import add_options
+
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, output
 from exact.two_bars import TwoBars as Exact
 from meshes.two_bars import BAR1, BAR2, FACE1, FACE2, TwoBars
@@ -46,9 +48,7 @@ def options() -> argparse.Namespace:
     add("--force", default="consistent", choices=("consistent", "trapezoidal"), help="internal force (%(default)s)")
     add("--redistribute", action="store_true", help="take the mass off the contact face of bar 1")
     add("--gap", type=float, default=0.0, help="between the bars at first, in m (%(default)s)")
-    add("--output", type=Path, default=Path("results/two_bars"), help="folder for the results (%(default)s)")
-    add("--no-figure", action="store_true", help="skip figure3.png")
-    add("--paraview", action="store_true", help="write .bp series")
+    add_options(parser, "two_bars", figure=3)
     return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
 
 
@@ -79,8 +79,11 @@ def simulate(args: argparse.Namespace, directory: Path) -> output.History:
     strain = [motion.energy_forms(dx_k)[1] for dx_k in dx]
     mean_velocity = [fem.form(v[0] / (bars.length * bars.height * bars.width) * dx_k) for dx_k in dx]
 
-    run = output.Run(problem, directory, COLUMNS, vars(args) | {"step": Δt}, args.paraview)
-    for step in dynamics.march(problem, motion, to=args.time, redistribute=args.redistribute):
+    said = vars(args) | {"step": Δt}
+    run = output.Run(problem, directory, COLUMNS, said, args.paraview, checkpoint=args.checkpoint, motions=motion)
+    before[:] = u.x.array
+    rest = {"to": args.time, "start": run.start, "ledger": run.ledger, "redistribute": args.redistribute}
+    for step in dynamics.march(problem, motion, **rest) if run.start < args.time * (1 - 1e-9) else ():
         v.x.array[:] = (u.x.array - before) / step.step if args.redistribute else motion.velocity.x.array
         before[:] = u.x.array
         (u1, u2), (v1, v2) = ([output.probe(f, X, cells)[0] for X, cells in faces] for f in (u, v))

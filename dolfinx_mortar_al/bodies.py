@@ -22,6 +22,7 @@ from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, matrix_with_pattern
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
+from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.validation import check_cells, check_residual, listed
 
 __all__ = ["Bodies", "Body"]
@@ -226,6 +227,19 @@ class Bodies:
     def restore(self, saved: dict[str, Array]) -> None:
         """Back to a snapshot."""
         self.set(saved["u"])
+
+    def check_constants(self) -> None:
+        """The forms' Constants, such as a load, must be the same on all ranks (collective).
+
+        Raises:
+            ValueError: on every rank.
+        """
+        for k, body in enumerate(self.bodies):
+            agreed(
+                self.comm,
+                f"the values of the Constants in the form of u[{k}]",
+                [c.value.tolist() for c in body.constants],
+            )
 
     def is_limp(self, diagonals: Sequence[fem.Function]) -> bool:
         """Whether a displacement that is not prescribed meets next to no stiffness (collective); see `stiffness`."""

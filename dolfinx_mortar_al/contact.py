@@ -137,8 +137,11 @@ class ContactPair(PairResults):
         self.contactor_blocks: Index = bodies.nodes(k, self.facets.dofs)
         self._last_points = self._points_at_end(contactor.blocks[contactor.end_nodes])
         fixed = self._at_nodes(self._body1.prescribed()) > 0
+        redundant = self._redundant(fixed)
+        #: (n,) points on facets whose motion relative to the target is prescribed altogether
+        self._prescribed_points = np.asarray(redundant.all(axis=(1, 2)))[self.integration.facet]
         components = self.gdim if friction else 1
-        self.multiplier = MultiplierSpace(self.facets, contact.multiplier_order, components, self._redundant(fixed))
+        self.multiplier = MultiplierSpace(self.facets, contact.multiplier_order, components, redundant)
         self.blocks = Blocks(self.integration, self.contactor_blocks, fixed, self.target, self.multiplier, friction)
         self.active = ActiveSet(self.blocks, self.comm)
 
@@ -189,8 +192,8 @@ class ContactPair(PairResults):
         if shared.any():
             X = ", ".join(f"{x:.4g}" for x in contactor.X[shared][0])
             raise ValueError(
-                f"{self.name}: contactor (tag {self.contact.contactor.tag}) and target ({self.contact.target_name}) share the "
-                f"node at X = ({X}): the bodies are joined there; give each its own nodes, or leave out the facets around it"
+                f"{self.name}: contactor (tag {self.contact.contactor.tag}) and target ({self.contact.target_name}) share "
+                f"the node at X = ({X}): the bodies are joined there; give each its own nodes, or leave its facets out"
             )
 
     def _redundant(self, fixed: Bool) -> Bool:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Fingerprint", "differences", "fingerprint"]
 
+HASHED = "#"  # begins what has no words
+
 #: what is compared, by a label that a message can show
 Fingerprint = dict[str, str]
 
@@ -51,11 +53,13 @@ def fingerprint(problem: ContactProblem, motions: Sequence[Motion]) -> Fingerpri
 def differences(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
     """In what two fingerprints differ, in words."""
     labels = [*now, *(label for label in then if label not in now)]
-    return [
-        f"{label}: {then.get(label, 'none')} then, {now.get(label, 'none')} now"
-        for label in labels
-        if then.get(label) != now.get(label)
-    ]
+    return [_in_words(label, then.get(label), now.get(label)) for label in labels if then.get(label) != now.get(label)]
+
+
+def _in_words(label: str, then: str | None, now: str | None) -> str:
+    if then and now and then.startswith(HASHED) and now.startswith(HASHED):
+        return f"another {label}"
+    return f"{label}: {then} then, {now} now"
 
 
 def _of_body(body: Body, steps: Sequence[Any]) -> Fingerprint:
@@ -66,7 +70,7 @@ def _of_body(body: Body, steps: Sequence[Any]) -> Fingerprint:
         "geometry": _hash([domain.geometry.x, domain.geometry.dofmap]),
         "space": f"{V.ufl_element()}",
         "numbering": _hash([V.dofmap.list, V.tabulate_dof_coordinates()]),
-        "form": body.signature[:16],
+        "form": HASHED + body.signature[:16],
         "constants": ", ".join(np.array2string(v, separator=" ") for v in values) or "none",
         "prescribed components": _hash([body.prescribed().x.array]),
     }
@@ -92,4 +96,4 @@ def _hash(parts: Sequence[NDArray[Any] | str | None]) -> str:
     digest = hashlib.sha256()
     for part in parts:
         digest.update(np.ascontiguousarray(part).tobytes() if isinstance(part, np.ndarray) else str(part).encode())
-    return digest.hexdigest()[:16]
+    return HASHED + digest.hexdigest()[:16]

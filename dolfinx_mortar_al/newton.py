@@ -189,6 +189,7 @@ class NewtonSolver:
         With `path` the load is an unknown too, and the present displacements are the prediction of the path.
         """
         p, self._path = self.problem, path
+        p.bodies.check_constants()
         self.result = NewtonResult()
         self._patterns: list[int] = []
         self._cycles, self._damping, self._freezes = 0, 1.0, 0
@@ -410,7 +411,7 @@ class NewtonSolver:
     def _failure(self, reason: int) -> str:
         """Why a solve failed: which blocks, where, and what to do."""
         if not self.result.norms:
-            return "the residual is not a number at the start: a cell is inverted, or a law or load has no value there"
+            return "the residual is not a number at the start: a cell is inverted, or a law, load or condition has none"
         names, last = ["equilibrium", *(pair.name for pair in self.problem.pairs)], self.result.norms[-1]
         open_blocks = ", ".join(f"{n} at {v:.1e} of its tolerance" for n, v in zip(names, last, strict=True) if v > 1)
         known = {_Reason.DIVERGED_MAX_IT: "no convergence", _Reason.DIVERGED_LINEAR_SOLVE: "the linear solve failed"}
@@ -431,9 +432,8 @@ class NewtonSolver:
         """What a failed solve says of the equilibrium itself."""
         p, parts = self.problem, []
         if p.floating:
-            held = " and ".join(str(piece) for piece in p.floating)
             parts.append(
-                f"contact alone holds {held}: press it on, prescribe the motion that is free, add friction, or let it "
+                f"{' and '.join(p.unheld())}: press it on, prescribe the motion that is free, add friction, or let it "
                 "move with dynamics.march"
             )
         elif any(sign < 0 for sign in self.result.signs):

@@ -8,7 +8,6 @@ its initial position Y; at present it is at pivot + Q (Y − pivot) + translatio
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -241,7 +240,8 @@ def _rotation_matrix(rotation: ArrayLike | None, gdim: int) -> Array:
         from scipy.spatial.transform import Rotation  # slow to import
 
         return np.asarray(Rotation.from_rotvec(_vector("rotation", rotation, 3)).as_matrix(), dtype=np.float64)
-    angle = number("rotation", np.squeeze(rotation) if isinstance(rotation, Sequence) else rotation, must=ONE_ANGLE)
+    single: Any = rotation
+    angle = number("rotation", single[0] if np.shape(single) == (1,) else single, must=ONE_ANGLE)
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import ctypes
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,9 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.ranks import on_root, together
 from dolfinx_mortar_al.validation import vector
@@ -159,12 +162,21 @@ def _number(name: str, value: Any) -> float:
 
 
 class ParaView:
-    """ParaView series (.bp): displacement on the bodies, and each pair's multiplier on its contactor's facets."""
+    """ParaView series (.bp): displacement on the bodies, and each pair's multiplier on its contactor's facets.
 
-    def __init__(self, problem: ContactProblem, directory: Path | str) -> None:
+    Args:
+        problem: the problem.
+        directory: where to write; made if missing.
+        resume: load or time from which an interrupted run goes on: its series are kept, and new ones begun beside them.
+
+    Raises:
+        OSError, RuntimeError: on every rank, if they cannot be written.
+    """
+
+    def __init__(self, problem: ContactProblem, directory: Path | str, resume: float | None = None) -> None:
         from dolfinx.io import VTXWriter
 
-        folder, self._comm = Path(directory), problem.comm
+        folder, self._comm, later = Path(directory), problem.comm, "" if not resume else f"_from_{resume:.6g}"
         on_root(problem.comm, lambda: folder.mkdir(parents=True, exist_ok=True))
         self.problem = problem
         self._multipliers = [pair.multiplier.complete() for pair in problem.pairs]
@@ -178,21 +190,36 @@ class ParaView:
         self._writers = [
             together(
                 problem.comm,
-                partial(VTXWriter, f.function_space.mesh.comm, folder / f"{name}.bp", [f], engine="BP4"),
+                partial(VTXWriter, f.function_space.mesh.comm, folder / f"{name}{later}.bp", [f], engine="BP4"),
             )
             for name, f in fields.items()
         ]
 
     def write(self, time: float) -> None:
-        """Add the present state at `time` (a load or a time)."""
+        """Add the present state at `time` (a load or a time).
+
+        Raises:
+            RuntimeError: on every rank, if it cannot be written.
+        """
         for pair, field in zip(self.problem.pairs, self._multipliers, strict=True):
             field.x.array[:] = pair.multiplier.complete().x.array
         for writer in self._writers:
-            together(self._comm, partial(writer.write, time))
+            self._attempt(partial(writer.write, time))
 
     def close(self) -> None:
+        """Complete the files."""
         for writer in self._writers:
-            together(self._comm, writer.close)
+            self._attempt(writer.close)
+
+    def _attempt(self, action: Callable[[], None]) -> None:
+        """An action of a writer; where it fails on some rank, an error on all."""
+        try:
+            together(self._comm, action)
+        except Exception:
+            # ADIOS2 would try to write again when a writer is collected, and end the process: these never are
+            for writer in self._writers:
+                ctypes.pythonapi.Py_IncRef(ctypes.py_object(writer._cpp_object))
+            raise
 
 
 class Run:
@@ -205,6 +232,12 @@ class Run:
         parameters: for the summary.
         paraview: whether to write .bp series.
         resume: go on with the history of an interrupted run, from this time (or load) in its first column.
+        checkpoint: save the steps at asked-for loads or times in the directory, and begin with the last one that an
+            interrupted run has saved there (`resume` is then its load or time).
+        motions: of a dynamic run, for the checkpoint.
+
+    Attributes:
+        start: load or time of the problem's state; ledger: of a dynamic run that goes on.
     """
 
     def __init__(
@@ -215,10 +248,17 @@ class Run:
         parameters: Mapping[str, Any],
         paraview: bool = False,
         resume: float | None = None,
+        checkpoint: bool = False,
+        motions: Motion | Sequence[Motion] = (),
     ) -> None:
+        self._checkpoint = Checkpoint(directory, problem, motions) if checkpoint else None
+        saved = None if self._checkpoint is None else self._checkpoint.load()
+        if saved is not None:
+            resume = saved.at
+        self.start, self.ledger = resume or 0.0, None if saved is None else saved.ledger
         self.problem, self.directory, self.parameters = problem, Path(directory), dict(parameters)
         self.history = History(problem, directory, columns, resume)
-        self._paraview = ParaView(problem, directory) if paraview else None
+        self._paraview = ParaView(problem, directory, resume) if paraview else None
         self._rejected = 0
 
     def record(self, step: Any, at: float, **row: float) -> None:
@@ -227,6 +267,8 @@ class Run:
         self._rejected += step.rejected
         if self._paraview is not None:
             self._paraview.write(at)
+        if self._checkpoint is not None and step.nominal:
+            self._checkpoint.save(at, getattr(step, "ledger", None))
 
     def finish(self, **parameters: Any) -> dict[str, Any]:
         """Close the files and write the summary, with further `parameters`; returns it."""

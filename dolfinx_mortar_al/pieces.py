@@ -29,10 +29,12 @@ class Piece:
     Attributes:
         centre: (gdim,) mean reference position of its nodes (m).
         nodes: numbers, local to this rank, of its nodes, ghosts included.
+        number: of the piece in the body.
     """
 
     centre: Array
     nodes: Index
+    number: int
 
     def __str__(self) -> str:
         return f"the body around X = {np.array2string(self.centre, precision=3)}"
@@ -66,7 +68,7 @@ def floating_pieces(V: fem.FunctionSpace, label: Index, prescribed: fem.Function
         share, combinations = np.linalg.eigh(gram)
         free = (modes @ combinations[:, share < FREE]).reshape(owned * d, int(np.sum(share < FREE)))
         if any(_energy(stiffness, mode) < FREE * scale * total[0] for mode in free.T):
-            pieces.append(Piece(centre, np.flatnonzero(label == number)))
+            pieces.append(Piece(centre, np.flatnonzero(label == number), number))
     return pieces
 
 

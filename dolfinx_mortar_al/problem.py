@@ -120,7 +120,7 @@ class ContactProblem:
             pair.check_behind()
         diameter = self.bodies.diameter()
         #: (pieces,) norm of the bulk's forces at the last evaluation on each connected piece, and their round-off (N)
-        self.force_scale = np.zeros(self.bodies.pieces)
+        self.force_scale: Array = np.zeros(self.bodies.pieces)
         self.force_floor = 2e-15 * self.bodies.stiffest(stiffness) * self.bodies.diameters()
         #: a size of forces that the solver resolves, on all pieces (N)
         self.force_reference = 0.0
@@ -141,7 +141,7 @@ class ContactProblem:
         """Norm of each block of the residual over that below which it counts as converged: forces against those on the same
         connected piece of a body, of which the worst counts; gaps against pressure over stiffness (collective)."""
         forces = [pair.nodal_forces() for pair in self.pairs]
-        scale: Array = np.array(np.maximum(self.force_scale, self.force_reference))
+        scale = np.array(np.maximum(self.force_scale, self.force_reference))
         for force, touched in zip(forces, self._touched, strict=True):
             np.maximum(scale, force, out=scale, where=touched)
         tolerance = np.maximum(rtol * scale, self.force_floor)
@@ -306,9 +306,11 @@ class ContactProblem:
             self.matrix.assemble()
 
     def findings(self) -> list[Finding]:
-        """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse
-        (collective)."""
-        looks = [monitor.look() for monitor in self.monitors] + [pair.coarse_integration() for pair in self.pairs]
+        """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse or whose
+        surfaces are prescribed to overlap (collective)."""
+        looks = [monitor.look() for monitor in self.monitors]
+        for pair in self.pairs:
+            looks += [pair.coarse_integration(), pair.prescribed_overlap()]
         return [finding for finding in looks if finding is not None]
 
     def evaluate(self) -> None:
@@ -329,6 +331,15 @@ class ContactProblem:
         A.assemble()
         mine = np.arange(*A.getOwnershipRange(), dtype=np.int32)[:, None]
         A.setValuesRCV(mine, mine, self.spring_share * k.array_r[:, None, None], _ADD)
+
+    def unheld(self) -> list[str]:
+        """The floating pieces, in words: those that a pair may hold, and those that nothing does (collective)."""
+        words = []
+        for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
+            for piece in body.floating:
+                held = any(touched[first + piece.number] for touched in self._touched)
+                words.append(f"{'contact alone' if held else 'nothing'} holds {piece}")
+        return words
 
     @property
     def floating(self) -> list[Piece]:

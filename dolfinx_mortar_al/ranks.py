@@ -68,7 +68,7 @@ def agreed(comm: MPI.Comm, name: str, value: Any) -> None:
     for rank, other in enumerate(said):
         if other != said[0]:
             raise ValueError(
-                f"{name} is {said[0]} on rank 0 and {other} on rank {rank}: it must be the same on all ranks; compute it "
+                f"{name}: {said[0]} on rank 0, {other} on rank {rank}; must be the same on all ranks: compute it "
                 "from values that all ranks have (comm.allreduce, comm.bcast)"
             )
 
