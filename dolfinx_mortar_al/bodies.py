@@ -179,6 +179,7 @@ class Bodies:
         self.first_piece, self.pieces = first[:-1], int(first[-1])
         owned = [body.piece[: body.owned] + start for body, start in zip(self.bodies, first, strict=False)]
         self._piece_of_dof = np.repeat(np.concatenate(owned), self.gdim)
+        self._free_axes: Array | None = None  # the conditions are those of the start
 
     def index(self, domain: mesh.Mesh) -> int:
         """Which body lives on a mesh.
@@ -273,6 +274,29 @@ class Bodies:
         result = np.empty_like(values)
         self.comm.Allreduce(np.ascontiguousarray(values), result, MPI.MAX)
         return result
+
+    def resultants(self, values: Array) -> Array:
+        """(pieces,) largest component of the sum of nodal forces (owned dofs,) on each piece over the root of its number of
+        nodes, along the axes in which nothing of the piece is prescribed (collective)."""
+        if self._free_axes is None:
+            free = np.ones((self.pieces, self.gdim))
+            for body, first in zip(self.bodies, self.first_piece, strict=True):
+                np.minimum.at(free, body.piece + first, 1.0 - body.prescribed().x.array.reshape(-1, self.gdim))
+            nodes = np.bincount(self._piece_of_dof, minlength=self.pieces) / self.gdim
+            self._free_axes = -self._largest(-free) / np.sqrt(self.comm.allreduce(nodes, MPI.SUM))[:, None]
+        sums = np.zeros((self.pieces, self.gdim))
+        np.add.at(sums, self._piece_of_dof[:: self.gdim], values.reshape(-1, self.gdim))
+        return np.asarray(np.abs(self._free_axes * self.comm.allreduce(sums, MPI.SUM)).max(axis=1))
+
+    def spring_shares(self, diagonals: Sequence[fem.Function], touched: Sequence[NDArray[np.bool_]]) -> Array:
+        """(owned dofs,) the stiffness of the softest piece that each piece may press, `touched` with it by a pair, as a share
+        of its own (collective)."""
+        largest = self.stiffest(diagonals)
+        share = np.ones(self.pieces)
+        for pieces in touched:
+            softest = largest[pieces].min(initial=np.inf)
+            np.minimum(share, softest / np.maximum(largest, 1e-300), out=share, where=pieces)
+        return share[self._piece_of_dof]
 
     def norms(self, values: Array) -> Array:
         """(pieces,) norm of nodal values (owned dofs,) on each piece (collective)."""

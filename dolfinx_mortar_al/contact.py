@@ -93,7 +93,7 @@ class Contact:
         if self.quadrature_degree is not None:
             keep("quadrature_degree", whole("quadrature_degree", self.quadrature_degree, least=0, most=30))
         keep("multiplier_order", whole("multiplier_order", self.multiplier_order, least=1, most=2))
-        if self.projection not in ("rays", "closest"):
+        if not isinstance(self.projection, str) or self.projection not in ("rays", "closest"):
             raise ValueError(f'projection = "{self.projection}": "rays" or "closest"')
         if self.name is not None and (not isinstance(self.name, str) or not self.name or set(self.name) & set("/\0")):
             raise ValueError(f"name = {self.name!r}: files are called after it; pass a text without /")

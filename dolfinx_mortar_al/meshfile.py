@@ -73,11 +73,12 @@ def _opened(path: Path) -> Iterator[tuple[Any, list[str]]]:
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.logger.start()
+        before = len(gmsh.logger.get())  # of earlier files
         gmsh.open(str(path))
-        said = gmsh.logger.get()
-        gmsh.logger.stop()
+        said = gmsh.logger.get()[before:]
         yield gmsh, [line for line in said if line.startswith(("Error", "Warning"))]
     finally:
+        gmsh.logger.stop()
         if started:
             gmsh.finalize()
         else:

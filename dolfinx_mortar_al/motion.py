@@ -55,7 +55,7 @@ class Motion:
         theta = number("theta", theta, least=0.5, most=1.0, must="θ must be")
         check_law(u, membrane=False, what="Motion")
         check_external(external, u)
-        if force not in ("consistent", "trapezoidal"):
+        if not isinstance(force, str) or force not in ("consistent", "trapezoidal"):
             raise ValueError(f'force = "{force}": "consistent" or "trapezoidal"')
         V = u.function_space
         self.u, self.material, self.density, self.thickness, self.θ = u, material, density, thickness, theta

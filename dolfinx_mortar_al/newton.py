@@ -33,8 +33,7 @@ WORKSPACE, TOO_LITTLE_WORKSPACE = 100, (-8, -9)  # % that MUMPS gets beside its 
 UNSUITABLE = (56, 60, 62, 86, 92)  # PETSc's error codes where a solver does not take the matrix, or is not known
 EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
 ROUND_OFF = 100.0  # multiples of the tolerance in which a residual that stands still counts as round-off
-SPRING = 1e-8  # of pieces that contact alone holds, as a share of their stiffness, times the relative residual
-LEAST_SPRING = 1e-13  # what is left of it where a motion stays free, such as sliding without friction
+SPRING = 1e-8  # of pieces that contact alone holds, as a share of their stiffness or that of what they press
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
 MAX_FREEZES = 20  # times that friction bounds are brought up to date in a solve
 NEARLY = 0.05  # error of frozen bounds, as a share of the largest μp, below which they are freed
@@ -192,7 +191,7 @@ class NewtonSolver:
         p.bodies.check_constants()
         self.result = NewtonResult()
         self._patterns: list[int] = []
-        self._cycles, self._damping, self._freezes = 0, 1.0, 0
+        self._cycles, self._damping, self._freezes, self._whole_step = 0, 1.0, 0, True
         self._law_since, self._set_since, self._freed = 0, 0, False
         for pair in p.pairs:
             pair.begin()
@@ -253,7 +252,7 @@ class NewtonSolver:
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         self.problem.tension = self._fictitious_tension()
         first, last = max(self.result.norms[0]), max(self.result.norms[-1])
-        self.problem.spring_share = max(SPRING * min(1.0, last / max(first, 1e-300)), LEAST_SPRING)
+        self.problem.spring_share = SPRING * min(1.0, last / max(first, 1e-300))
         self.problem.assemble_jacobian()
         if self.problem.matrix.handle != A.handle:  # a new pattern
             snes.setJacobian(self._jacobian, self.problem.matrix)
@@ -272,7 +271,7 @@ class NewtonSolver:
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
         f = self.problem.residual.getNestSubVecs() if iteration == 0 else snes.getFunction()[0].getNestSubVecs()
-        ratio = self.problem.residual_ratios(f, self.rtol)
+        ratio = self.problem.residual_ratios(f, self.rtol, corrected=iteration > 0 and self._whole_step)
         self.result.norms.append(ratio)
         self.result.residual = max(ratio) * self.rtol
         if not np.isfinite(ratio).all():
@@ -373,6 +372,7 @@ class NewtonSolver:
                     break
                 length /= 2
                 p.bodies.set(xu.array_r - length * yu.array_r)
+        self._whole_step = length == 1.0
         if self._path is not None:
             self._path.load.value += length * change
         if length < 1.0:

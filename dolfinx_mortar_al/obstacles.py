@@ -22,7 +22,7 @@ __all__ = ["Obstacle", "Pose", "RigidCylinder", "RigidPlane", "RigidSphere"]
 
 Array = NDArray[np.float64]
 
-ONE_ANGLE = "in two dimensions one angle (rad) turns an obstacle, it must be"
+ONE_ANGLE = "needs one finite angle in rad in two dimensions,"
 NO_DIRECTION = 1e-12  # distance to a centre or axis, in radii, below which no closest point is defined
 
 

@@ -34,6 +34,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
+LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
+UNSEEN = 1e-6  # share of round-off in a body's forces below which a load counts as none from the start
+
 #: All that a step may change, on this rank: arrays by the name of the member that owns them and their own.
 Snapshot = dict[str, dict[str, Array]]
 
@@ -101,8 +104,8 @@ class ContactProblem:
         #: further forces
         self.terms: list[Term] = []
         with self.stopwatch("contact set-up"):
-            check_surfaces(contacts)
             names = check_names([contact.name for contact in contacts])
+            check_surfaces(contacts)
             self.pairs = [
                 ContactPair(contact, self.bodies, self.stopwatch, name)
                 for contact, name in zip(contacts, names, strict=True)
@@ -111,6 +114,7 @@ class ContactProblem:
         #: what a snapshot is made of, in the order in which it is restored
         self.members: dict[str, Member] = {"bodies": self.bodies}
         self.members |= {f"pair{k}": pair for k, pair in enumerate(self.pairs)}
+        self._touched = [self._pieces_of(pair) for pair in self.pairs]
         with self.stopwatch("bulk"):
             stiffness = self._create_matrices()
         for pair in self.pairs:
@@ -124,7 +128,6 @@ class ContactProblem:
         self.force_floor = 2e-15 * self.bodies.stiffest(stiffness) * self.bodies.diameters()
         #: a size of forces that the solver resolves, on all pieces (N)
         self.force_reference = 0.0
-        self._touched = [self._pieces_of(pair) for pair in self.pairs]
         self.gap_floor = [2e-15 * diameter * pair.area for pair in self.pairs]
 
     def _pieces_of(self, pair: ContactPair) -> NDArray[np.bool_]:
@@ -137,15 +140,25 @@ class ContactProblem:
         self.comm.Allreduce(MPI.IN_PLACE, touched, MPI.MAX)
         return np.asarray(touched > 0)
 
-    def residual_ratios(self, f: Sequence[PETSc.Vec], rtol: float) -> list[float]:
+    def residual_ratios(self, f: Sequence[PETSc.Vec], rtol: float, corrected: bool) -> list[float]:
         """Norm of each block of the residual over that below which it counts as converged: forces against those on the same
-        connected piece of a body, of which the worst counts; gaps against pressure over stiffness (collective)."""
+        connected piece of a body, of which the worst counts; gaps against pressure over stiffness (collective).
+
+        Forces below round-off count as none only where a whole Newton step has `corrected` the state: a load may be that
+        small beside the stiffness of the body it acts on, and be much for a softer one which that body presses. Nor may a
+        piece that nothing holds along an axis have a resultant there.
+        """
         forces = [pair.nodal_forces() for pair in self.pairs]
         scale = np.array(np.maximum(self.force_scale, self.force_reference))
         for force, touched in zip(forces, self._touched, strict=True):
             np.maximum(scale, force, out=scale, where=touched)
-        tolerance = np.maximum(rtol * scale, self.force_floor)
-        ratios = [float(np.max(self.bodies.norms(f[0].array_r) / tolerance))]
+        corrected |= self.force_reference > 0
+        tolerance = np.maximum(rtol * scale, self.force_floor * (1.0 if corrected else UNSEEN))
+        worst = self.bodies.norms(f[0].array_r) / tolerance
+        if self.force_reference == 0:  # round-off is no force on a piece as a whole
+            seen = np.maximum(rtol * scale, self.force_floor * UNSEEN)
+            worst = np.maximum(worst, self.bodies.resultants(f[0].array_r) / seen)
+        ratios = [float(np.max(worst))]
         for pair, force, floor, part in zip(self.pairs, forces, self.gap_floor, f[1:], strict=True):
             gap = max(rtol * max(force, self.force_reference) / pair.stiffness, floor)
             ratios.append(part.norm() / (pair.unit * gap))
@@ -172,6 +185,7 @@ class ContactProblem:
         self.tension, self._tension_matrix = 0.0, None
         #: springs on the pieces that contact alone holds, in the Jacobian only: (N/m) and the share of them in use
         self.springs, self.spring_share = self.bodies.springs(diagonals), 0.0
+        self._spring_shares = self.bodies.spring_shares(diagonals, self._touched)
         for k in range(1, n):
             for i, j in [(0, k), (k, 0), (k, k)]:
                 self.blocks[i][j] = empty_matrix(self._layouts[i], self._layouts[j])
@@ -330,7 +344,8 @@ class ContactProblem:
         assert k is not None
         A.assemble()
         mine = np.arange(*A.getOwnershipRange(), dtype=np.int32)[:, None]
-        A.setValuesRCV(mine, mine, self.spring_share * k.array_r[:, None, None], _ADD)
+        share = np.maximum(self.spring_share * self._spring_shares, LEAST_SPRING)
+        A.setValuesRCV(mine, mine, (share * k.array_r)[:, None, None], _ADD)
 
     def unheld(self) -> list[str]:
         """The floating pieces, in words: those that a pair may hold, and those that nothing does (collective)."""
