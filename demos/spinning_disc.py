@@ -29,8 +29,8 @@ from matplotlib.collections import PolyCollection
 from mpi4py import MPI
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, monitors, obstacles, output
-from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.quasistatic import StepFailure
 from meshes.disc import RIM, Disc
 
@@ -57,11 +57,8 @@ def options() -> argparse.Namespace:
     add("--step", type=float, help="Δt in s (1e-3, with --case stiff 2e-5)")
     add("--time", type=float, help="final time in s (until the disc has left)")
     add("--gap", type=float, default=0.0, help="between disc and plane at the start in m (%(default)s)")
-    add("--output", type=Path, default=Path("results/spinning_disc"), help="folder for the results (%(default)s)")
-    add("--no-figure", action="store_true", help="skip figure4.png")
-    add("--paraview", action="store_true", help="write .bp series")
+    add_options(parser, "spinning_disc", figure=4)
     add("--animate", action="store_true", help="write spinning_disc.gif")
-    add("--checkpoint", action="store_true", help="save every step, and go on from the last one saved in the folder")
     return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
 
 
@@ -79,10 +76,9 @@ def simulate(args: argparse.Namespace, spin: str, directory: Path) -> tuple:
     problem = ContactProblem(motion.residual, u, contacts=[contact], monitors=watch)
     ρ, x = DENSITY * THICKNESS, ufl.SpatialCoordinate(mesh) + motion.old
     m, moments = motion.integral(fem.form(ρ * motion.dx)), [fem.form(ρ * x[i] * motion.dx) for i in range(2)]
-    keeper = Checkpoint(directory, problem, motion) if args.checkpoint else None
-    saved = keeper.load() if keeper else None
-    start, ledger, until = saved.at if saved else 0.0, saved.ledger if saved else None, args.time or CASES[args.case][4]
-    run = output.Run(problem, directory, COLUMNS, vars(args) | {"spin": spin}, args.paraview, resume=start)
+    said = vars(args) | {"spin": spin}
+    run = output.Run(problem, directory, COLUMNS, said, args.paraview, checkpoint=args.checkpoint, motions=motion)
+    start, ledger, until = run.start, run.ledger, args.time or CASES[args.case][4]
     frames, time = [], start
     try:
         for step in dynamics.march(problem, motion, to=until, start=start, ledger=ledger) if until > start else ():
@@ -94,8 +90,6 @@ def simulate(args: argparse.Namespace, spin: str, directory: Path) -> tuple:
                 **{name: getattr(ledger, name) for name in ENERGIES}, energy_defect=ledger.energy_defect,
                 contact_force_x=fx, contact_force_y=fy, min_det_F=watch[0].range()[0],
             )  # fmt: skip
-            if keeper:
-                keeper.save(time, ledger)
             frames += [output.deformed_cells(u)] if args.animate and step.nominal else []
     except StepFailure as failure:
         end = f"{failure}, {(time * V - args.gap) / args.size:.2g} h/V_n from touch"

@@ -23,6 +23,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, output
 from exact.two_bars import TwoBars as Exact
 from meshes.two_bars import BAR1, BAR2, FACE1, FACE2, TwoBars
@@ -45,9 +46,7 @@ def options() -> argparse.Namespace:
     add("--theta", type=float, default=0.5, help="of the scheme, 1/2 … 1 (%(default)s)")
     add("--force", default="consistent", choices=("consistent", "trapezoidal"), help="internal force (%(default)s)")
     add("--gap", type=float, default=0.0, help="between the bars at first, in m (%(default)s)")
-    add("--output", type=Path, default=Path("results/two_bars"), help="folder for the results (%(default)s)")
-    add("--no-figure", action="store_true", help="skip figure3.png")
-    add("--paraview", action="store_true", help="write .bp series")
+    add_options(parser, "two_bars", figure=3)
     return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
 
 
@@ -75,8 +74,10 @@ def simulate(args: argparse.Namespace, directory: Path) -> output.History:
     strain = [motion.energy_forms(dx_k)[1] for dx_k in dx]
     mean_velocity = [fem.form(v[0] / (bars.length * bars.height * bars.width) * dx_k) for dx_k in dx]
 
-    run = output.Run(problem, directory, COLUMNS, vars(args) | {"step": Δt}, args.paraview)
-    for step in dynamics.march(problem, motion, to=args.time):
+    said = vars(args) | {"step": Δt}
+    run = output.Run(problem, directory, COLUMNS, said, args.paraview, checkpoint=args.checkpoint, motions=motion)
+    rest = {"to": args.time, "start": run.start, "ledger": run.ledger}
+    for step in dynamics.march(problem, motion, **rest) if run.start < args.time * (1 - 1e-9) else ():
         (u1, u2), (v1, v2) = ([output.probe(f, X, cells)[0] for X, cells in faces] for f in (u, v))
         (k1, k2), (w1, w2) = ([motion.integral(form) for form in forms] for forms in (kinetic, strain))
         ledger = step.ledger

@@ -22,6 +22,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials, output, quasistatic
 from meshes.two_beams import CLAMP, LOWER_TOP, TIP, UPPER, UPPER_BOTTOM, TwoBeams
 
@@ -50,9 +51,7 @@ def options() -> argparse.Namespace:
     add("--dim", type=int, default=2, choices=(2, 3), help="plane strain or three-dimensional (%(default)s)")
     add("--triangles", action="store_true", help="simplices instead of quadrilaterals or hexahedra")
     add("--swap", action="store_true", help="make the lower beam the contactor")
-    add("--output", type=Path, default=Path("results/two_beams"), help="folder for the results (%(default)s)")
-    add("--no-figure", action="store_true", help="skip figure1.png")
-    add("--paraview", action="store_true", help="write .bp series")
+    add_options(parser, "two_beams", figure=1)
     return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
 
 
@@ -85,8 +84,11 @@ def simulate(args: argparse.Namespace, friction: float, directory: Path) -> tupl
     pair = problem.pairs[0]
 
     tip = [beams.length, beams.height / 2] + [beams.width / 2] * (args.dim - 2)
-    run = output.Run(problem, directory, COLUMNS, vars(args) | {"friction": friction}, args.paraview)
-    for step in quasistatic.march(problem, P, to=args.load, increments=args.increments, progress=True):
+    said = vars(args) | {"friction": friction}
+    run = output.Run(problem, directory, COLUMNS, said, args.paraview, checkpoint=args.checkpoint)
+    left = round(args.increments * (1 - run.start / args.load))
+    march = quasistatic.march(problem, P, to=args.load, increments=left, start=run.start, progress=True) if left else ()
+    for step in march:
         ux, uy = output.probe(u, tip, cell_tags.find(UPPER))[:2]
         fx, fy = pair.force()[:2]
         run.record(

@@ -23,6 +23,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, membrane, monitors, output, quasistatic
 from exact.two_membranes import TwoMembranes as Exact
 from meshes.two_membranes import EDGE, LOWER, UPPER, TwoMembranes
@@ -46,9 +47,7 @@ def options() -> argparse.Namespace:
     add("--order", type=int, default=2, choices=(1, 2), help="of the displacement (%(default)s)")
     add("--dim", type=int, default=2, choices=(2, 3), help="curves, or square membranes fixed all round (%(default)s)")
     add("--swap", action="store_true", help="make the lower membrane the contactor")
-    add("--output", type=Path, default=Path("results/two_membranes"), help="folder for the results (%(default)s)")
-    add("--no-figure", action="store_true", help="skip figure2.png")
-    add("--paraview", action="store_true", help="write .bp series")
+    add_options(parser, "two_membranes", figure=2)
     return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
 
 
@@ -80,11 +79,12 @@ def simulate(args: argparse.Namespace, case: tuple[float, float, float], directo
     stretches = [monitors.Monitor("stretch", s, u, bound=0.0, meaning="") for s in (least, *others)]
     middle = [built.length / 2, 0.0] + [built.width / 2] * (args.dim - 2)
     said = {"friction": friction, "shift": shift, "pressure": pressure}
-    run = output.Run(problem, directory, COLUMNS, vars(args) | said, args.paraview)
+    run = output.Run(problem, directory, COLUMNS, vars(args) | said, args.paraview, checkpoint=args.checkpoint)
     end = f"the pressure of {pressure:g} Pa is reached"
     try:
-        stop, n = pair.reaches_end, args.increments
-        for step in quasistatic.march(problem, p, to=pressure, increments=n, until=stop, progress=True):
+        left = {"increments": round(args.increments * (1 - run.start / pressure)), "start": run.start}
+        march = quasistatic.march(problem, p, to=pressure, until=pair.reaches_end, progress=True, **left)
+        for step in march if left["increments"] else ():
             mid = output.probe(u, middle, cell_tags.find(LOWER))
             run.record(
                 step, step.load, pressure=step.load, mid_ux=mid[0], mid_uy=mid[1], contact_length=pair.contact_area(),
@@ -92,7 +92,8 @@ def simulate(args: argparse.Namespace, case: tuple[float, float, float], directo
                 stretch_min=stretches[0].range()[0], stretch_max=stretches[-1].range()[1],
             )  # fmt: skip
         if pair.reaches_end():
-            end = f"the line of contact reaches the fixed edges at {step.load:.6g} Pa: the membranes lock"
+            reached = run.history.column("pressure")[-1]
+            end = f"the line of contact reaches the fixed edges at {reached:.6g} Pa: the membranes lock"
     except quasistatic.StepFailure as failure:
         end = str(failure)
     if MPI.COMM_WORLD.rank == 0:

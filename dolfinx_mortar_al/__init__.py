@@ -6,6 +6,7 @@ from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.meshfile import read_msh
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.ranks import end_together
 from dolfinx_mortar_al.surface import Surface
 
 __all__ = [
@@ -26,3 +27,6 @@ __all__ = [
     "quasistatic",
     "read_msh",
 ]
+
+monitors.show_warnings()
+end_together()

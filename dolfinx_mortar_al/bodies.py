@@ -21,7 +21,9 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, matrix_with_pattern
-from dolfinx_mortar_al.pieces import Piece, floating_pieces
+from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
+from dolfinx_mortar_al.ranks import agreed
+from dolfinx_mortar_al.validation import check_cells, check_residual, listed
 
 __all__ = ["Bodies", "Body"]
 
@@ -37,10 +39,18 @@ class Body:
 
     def __init__(self, F: Any, u: fem.Function, bcs: Sequence[fem.DirichletBC], jacobian: Any) -> None:
         self.u, self.space, self.mesh = u, u.function_space, u.function_space.mesh
-        _check_space(self.space)
+        _check_space(u)
+        check_cells(self.mesh)
+        check_residual(F, u)
         self.bcs = list(bcs)
         self.F, self.J = fem.form(F), fem.form(ufl.derivative(F, u) if jacobian is None else jacobian)
+        self.signature = str(F.signature())
+        #: the residual's Constants, and what they were when the problem was made
+        self.constants = list(F.constants())
+        self.constant_values = [np.array(c.value) for c in self.constants]
         self._inverted = fem.form(self._inversion_indicator())
+        #: (nodes,) the connected piece of the mesh that each node belongs to, ghosts included; how many there are
+        self.piece, self.pieces = pieces_of(self.space)
         #: pieces that nothing but contact holds, as found with the start state's stiffness
         self.floating: list[Piece] = []
         self._tension: Any = None  # few problems need it
@@ -133,16 +143,22 @@ class Bodies:
         bcs: Sequence[fem.DirichletBC],
         jacobians: Sequence[Any] | None,
     ) -> None:
-        if len(residuals) != len(displacements):
-            raise ValueError(f"F: {len(residuals)} residuals for {len(displacements)} displacements: pass one each")
+        if len(residuals) != len(displacements) or not displacements:
+            raise ValueError(f"F: {len(residuals)} residuals for {len(displacements)} displacements u: pass one each")
         spaces = [u.function_space for u in displacements]
         self.gdim: int = spaces[0].mesh.geometry.dim
         if any(V.mesh.geometry.dim != self.gdim for V in spaces):
             raise ValueError(f"u: bodies in spaces of dimension {[V.mesh.geometry.dim for V in spaces]}")
         self.comm: MPI.Intracomm = spaces[0].mesh.comm
+        bcs = listed("bcs", bcs, fem.DirichletBC, "a Dirichlet condition")
         own = [[bc for bc in bcs if V._cpp_object.contains(bc.function_space)] for V in spaces]
         if sum(map(len, own)) != len(bcs):
             raise ValueError("bcs: a Dirichlet condition is on a space of none of the displacements u")
+        for V in spaces[1:]:
+            if MPI.Comm.Compare(V.mesh.comm, self.comm) not in (MPI.IDENT, MPI.CONGRUENT):
+                raise ValueError(
+                    f"u: bodies on communicators of {self.comm.size} and {V.mesh.comm.size} ranks; make all meshes on one"
+                )
         forms = [None] * len(spaces) if jacobians is None else jacobians
         self.bodies = [Body(*parts) for parts in zip(residuals, displacements, own, forms, strict=True)]
         for u in displacements:
@@ -158,6 +174,12 @@ class Bodies:
         ]
         self.layout = Layout(self.comm, int(counts[self.comm.rank].sum()), int(counts.sum()), self.gdim)
         self._maps = [self._local_to_common(k) for k in range(len(self.bodies))]
+        #: connected pieces of all meshes: numbers begin here for each body, how many there are, and (owned dofs,) whose
+        first = np.cumsum([0, *(body.pieces for body in self.bodies)])
+        self.first_piece, self.pieces = first[:-1], int(first[-1])
+        owned = [body.piece[: body.owned] + start for body, start in zip(self.bodies, first, strict=False)]
+        self._piece_of_dof = np.repeat(np.concatenate(owned), self.gdim)
+        self._free_axes: Array | None = None  # the conditions are those of the start
 
     def index(self, domain: mesh.Mesh) -> int:
         """Which body lives on a mesh.
@@ -207,25 +229,90 @@ class Bodies:
         """Back to a snapshot."""
         self.set(saved["u"])
 
+    def check_constants(self) -> None:
+        """The forms' Constants, such as a load, must be the same on all ranks (collective).
+
+        Raises:
+            ValueError: on every rank.
+        """
+        for k, body in enumerate(self.bodies):
+            agreed(
+                self.comm,
+                f"the values of the Constants in the form of u[{k}]",
+                [c.value.tolist() for c in body.constants],
+            )
+
     def is_limp(self, diagonals: Sequence[fem.Function]) -> bool:
         """Whether a displacement that is not prescribed meets next to no stiffness (collective); see `stiffness`."""
-        limp = False
-        for body, diagonal in zip(self.bodies, diagonals, strict=True):
-            k = diagonal.x.array
-            largest = self.comm.allreduce(float(k.max(initial=0.0)), MPI.MAX)
+        largest, limp = self.stiffest(diagonals), False
+        for body, first, diagonal in zip(self.bodies, self.first_piece, diagonals, strict=True):
             free = body.prescribed().x.array == 0
-            limp |= bool(self.comm.allreduce(bool((k[free] < 1e-10 * largest).any()), MPI.LOR))
-        return limp
+            own = np.repeat(largest[body.piece + first], self.gdim)
+            limp |= bool((diagonal.x.array[free] < 1e-10 * own[free]).any())
+        return bool(self.comm.allreduce(limp, MPI.LOR))
 
-    def residual(self, b: PETSc.Vec) -> float:
-        """Assemble the bulk's residual into `b`; returns its norm with reactions, before Dirichlet rows are set."""
+    def stiffest(self, diagonals: Sequence[fem.Function]) -> Array:
+        """(pieces,) largest diagonal entry of the stiffness (N/m) on each piece (collective)."""
+        largest = np.zeros(self.pieces)
+        for body, first, diagonal in zip(self.bodies, self.first_piece, diagonals, strict=True):
+            np.maximum.at(largest, np.repeat(body.piece + first, self.gdim), diagonal.x.array)
+        return self._largest(largest)
+
+    def diameters(self) -> Array:
+        """(pieces,) diagonal of each piece's bounding box (m), collective."""
+        size = np.zeros((self.pieces, self.gdim))
+        for side in (1.0, -1.0):
+            reach = np.full((self.pieces, self.gdim), -np.inf)
+            for body, first in zip(self.bodies, self.first_piece, strict=True):
+                X = body.space.tabulate_dof_coordinates()[:, : self.gdim]
+                np.maximum.at(reach, body.piece + first, side * X)
+            size += self._largest(reach)
+        return np.asarray(np.linalg.norm(size, axis=1))
+
+    def _largest(self, values: Array) -> Array:
+        """The largest of each entry over the ranks (collective)."""
+        result = np.empty_like(values)
+        self.comm.Allreduce(np.ascontiguousarray(values), result, MPI.MAX)
+        return result
+
+    def resultants(self, values: Array) -> Array:
+        """(pieces,) largest component of the sum of nodal forces (owned dofs,) on each piece over the root of its number of
+        nodes, along the axes in which nothing of the piece is prescribed (collective)."""
+        if self._free_axes is None:
+            free = np.ones((self.pieces, self.gdim))
+            for body, first in zip(self.bodies, self.first_piece, strict=True):
+                np.minimum.at(free, body.piece + first, 1.0 - body.prescribed().x.array.reshape(-1, self.gdim))
+            nodes = np.bincount(self._piece_of_dof, minlength=self.pieces) / self.gdim
+            self._free_axes = -self._largest(-free) / np.sqrt(self.comm.allreduce(nodes, MPI.SUM))[:, None]
+        sums = np.zeros((self.pieces, self.gdim))
+        np.add.at(sums, self._piece_of_dof[:: self.gdim], values.reshape(-1, self.gdim))
+        return np.asarray(np.abs(self._free_axes * self.comm.allreduce(sums, MPI.SUM)).max(axis=1))
+
+    def spring_shares(self, diagonals: Sequence[fem.Function], touched: Sequence[NDArray[np.bool_]]) -> Array:
+        """(owned dofs,) the stiffness of the softest piece that each piece may press, `touched` with it by a pair, as a share
+        of its own (collective)."""
+        largest = self.stiffest(diagonals)
+        share = np.ones(self.pieces)
+        for pieces in touched:
+            softest = largest[pieces].min(initial=np.inf)
+            np.minimum(share, softest / np.maximum(largest, 1e-300), out=share, where=pieces)
+        return share[self._piece_of_dof]
+
+    def norms(self, values: Array) -> Array:
+        """(pieces,) norm of nodal values (owned dofs,) on each piece (collective)."""
+        squares = np.bincount(self._piece_of_dof, weights=values**2, minlength=self.pieces)
+        return np.asarray(np.sqrt(self.comm.allreduce(squares, MPI.SUM)))
+
+    def residual(self, b: PETSc.Vec) -> Array:
+        """Assemble the bulk's residual into `b`; returns its norm on each piece (pieces,) with reactions, before Dirichlet
+        rows are set."""
         local = b.array
         for body, part in zip(self.bodies, self._slices, strict=True):
             local[part] = body.residual()
-        norm = np.sqrt(self.comm.allreduce(float(local @ local)))
+        norms = self.norms(local)
         for body, part in zip(self.bodies, self._slices, strict=True):
             body.set_bc_rows(local[part])
-        return float(norm)
+        return norms
 
     def inverted_volume(self) -> float:
         """Reference volume of inverted cells, at the bulk's Gauss points (collective)."""
@@ -245,7 +332,7 @@ class Bodies:
         diagonals, indptr, indices = [], [np.zeros(1, dtype=np.int64)], []
         for k, body in enumerate(self.bodies):
             A = body.stiffness()
-            body.floating = floating_pieces(body.space, body.prescribed(), A)
+            body.floating = floating_pieces(body.space, body.piece, body.prescribed(), A)
             diagonal = fem.Function(body.space)
             A.getDiagonal(diagonal.x.petsc_vec)
             diagonal.x.scatter_forward()
@@ -325,7 +412,12 @@ class Bodies:
         return total
 
 
-def _check_space(V: fem.FunctionSpace) -> None:
+def _check_space(u: fem.Function) -> None:
+    V = u.function_space
+    if u.dtype != np.float64 or V.mesh.geometry.x.dtype != np.float64:
+        raise ValueError(f"u: {u.dtype} on a mesh of {V.mesh.geometry.x.dtype}; contact needs both in float64")
+    if V.num_sub_spaces and not V.dofmap.index_map_bs > 1:
+        raise ValueError("u: a mixed element; pass the displacement as a Function of a space of its own")
     domain, element = V.mesh, V.element.basix_element
     d, tdim = domain.geometry.dim, domain.topology.dim
     if tdim not in (d, d - 1):

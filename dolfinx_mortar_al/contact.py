@@ -7,9 +7,9 @@ points (`integration`), their kinematics (`kinematics`), the law (`law`), the ac
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -29,8 +29,9 @@ from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.results import PairResults
 from dolfinx_mortar_al.step_level import StepLevel
 from dolfinx_mortar_al.stopwatch import Stopwatch
-from dolfinx_mortar_al.surface import Facets, Surface
+from dolfinx_mortar_al.surface import Facets, GatheredFacets, Surface
 from dolfinx_mortar_al.targets import DeformableTarget, RigidTarget, target_of
+from dolfinx_mortar_al.validation import constant_value, number, whole
 
 __all__ = ["Contact", "ContactPair"]
 
@@ -49,7 +50,8 @@ class Contact:
     Args:
         contactor: carries the multiplier and the integration points; better the finer side.
         target: the surface that contactor points are projected onto, or a rigid obstacle.
-        friction: Coulomb's coefficient μ ≥ 0; 0 builds the problem with a scalar multiplier and no slip history.
+        friction: Coulomb's coefficient μ ≥ 0; the number 0 builds the problem with a scalar multiplier and no slip history.
+            A UFL Constant may be changed between steps.
         epsilon_normal, epsilon_tangential: augmentation parameters ε_N, ε_T (Pa/m). By default both come from the bulk
             stiffness at the surfaces; the answer depends on them only where a facet is partly closed.
         multiplier_order: of the multiplier's Lagrange element, 1 or, as in the paper, the displacement's.
@@ -59,36 +61,49 @@ class Contact:
             displacement's order (on a curved membrane in the plane 6 × order + 1), more where the target's facets are
             finer.
         thickness: out of the plane (m), for two-dimensional bodies; the same as in the bulk's forms.
-        name: for messages and output.
+        name: for messages and files; default "contact", with a number where there are several.
 
     Raises:
-        ValueError: on a friction that is negative or not finite, an ε that is not positive, an unknown projection, or equal
-            surfaces.
+        ValueError: on a friction that is negative or not finite, an ε that is not positive, an unknown projection, equal
+            surfaces, or what is no surface, number or name at all.
     """
 
     contactor: Surface
     target: Surface | Obstacle
-    friction: float = 0.0
+    friction: float | fem.Constant = 0.0
     epsilon_normal: float | None = None
     epsilon_tangential: float | None = None
     multiplier_order: int = 1
     projection: str = "rays"
     quadrature_degree: int | None = None
     thickness: float = 1.0
-    name: str = "contact"
+    name: str | None = None
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.friction) and self.friction >= 0):
-            raise ValueError(f"friction = {self.friction}: Coulomb's coefficient must be a number ≥ 0")
+        def keep(label: str, value: Any) -> None:
+            object.__setattr__(self, label, value)  # frozen for the user
+
+        if isinstance(self.friction, fem.Constant):
+            _coefficient(constant_value(self.friction))
+        else:
+            keep("friction", _coefficient(self.friction))
+        must = "leave it out for the default, or pass"
         for label in ("epsilon_normal", "epsilon_tangential", "thickness"):
-            value = getattr(self, label)
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{label} = {value}: must be positive (leave it out for the default)")
-        if self.quadrature_degree is not None and not 0 <= self.quadrature_degree <= 30:
-            raise ValueError(f"quadrature_degree = {self.quadrature_degree}: must lie in 0 … 30")
-        if self.projection not in ("rays", "closest"):
+            value = constant_value(getattr(self, label))
+            if value is not None or label == "thickness":
+                keep(label, number(label, value, above=0.0, must=must))
+        if self.quadrature_degree is not None:
+            keep("quadrature_degree", whole("quadrature_degree", self.quadrature_degree, least=0, most=30))
+        keep("multiplier_order", whole("multiplier_order", self.multiplier_order, least=1, most=2))
+        if not isinstance(self.projection, str) or self.projection not in ("rays", "closest"):
             raise ValueError(f'projection = "{self.projection}": "rays" or "closest"')
+        if self.name is not None and (not isinstance(self.name, str) or not self.name or set(self.name) & set("/\0")):
+            raise ValueError(f"name = {self.name!r}: files are called after it; pass a text without /")
         a, b = self.contactor, self.target
+        if not isinstance(a, Surface):
+            raise ValueError(f"contactor: {type(a).__name__} is not a Surface; an obstacle can be the target only")
+        if not isinstance(b, Surface | Obstacle):
+            raise ValueError(f"target: {type(b).__name__} is neither a Surface nor an obstacle of the module obstacles")
         if isinstance(b, Surface) and a.mesh is b.mesh and a.tags is b.tags and a.tag == b.tag:
             raise ValueError(f"contactor and target are the same surface (tag {a.tag}): a pair needs two")
 
@@ -98,14 +113,19 @@ class Contact:
         return f"tag {self.target.tag}" if isinstance(self.target, Surface) else type(self.target).__name__
 
 
+def _coefficient(μ: Any) -> float:
+    return number("friction", μ, least=0.0, must="Coulomb's coefficient must be")
+
+
 class ContactPair(PairResults):
     """A :class:`Contact` on a displacement space: its state at the last evaluation, slip history and outputs."""
 
-    def __init__(self, contact: Contact, bodies: Bodies, stopwatch: Stopwatch) -> None:
-        self.contact, self.name = contact, contact.name
+    def __init__(self, contact: Contact, bodies: Bodies, stopwatch: Stopwatch, name: str = "contact") -> None:
+        self.contact, self.name = contact, name
         self.stopwatch = stopwatch
         self.comm, self.gdim = bodies.comm, bodies.gdim
-        friction = contact.friction > 0
+        #: whether there is friction, or may be
+        self.friction = friction = isinstance(contact.friction, fem.Constant) or contact.friction > 0
         k = bodies.index(contact.contactor.mesh)
         self._body1 = bodies.bodies[k]
         self.facets = Facets.of(contact.contactor, self._body1.space)
@@ -113,13 +133,17 @@ class ContactPair(PairResults):
         self.target = target_of(contact.target, bodies, contactor.size_of_facets, contact.projection == "rays")
         self.integration = self._points(float(contactor.areas().max() ** (1.0 / self.target.dim)))
         self.area = float(self.comm.allreduce(float(self.j.sum())))
+        self._check_apart(contactor)
         self.kinematics: Kinematics = PositionLevel(self.integration, self._body1.u, self.target, friction)
         #: (nf, nodes) numbers of the contactor's nodes among all bodies'
         self.contactor_blocks: Index = bodies.nodes(k, self.facets.dofs)
         self._last_points = self._points_at_end(contactor.blocks[contactor.end_nodes])
         fixed = self._at_nodes(self._body1.prescribed()) > 0
+        redundant = self._redundant(fixed)
+        #: (n,) points on facets whose motion relative to the target is prescribed altogether
+        self._prescribed_points = np.asarray(redundant.all(axis=(1, 2)))[self.integration.facet]
         components = self.gdim if friction else 1
-        self.multiplier = MultiplierSpace(self.facets, contact.multiplier_order, components, self._redundant(fixed))
+        self.multiplier = MultiplierSpace(self.facets, contact.multiplier_order, components, redundant)
         self.blocks = Blocks(self.integration, self.contactor_blocks, fixed, self.target, self.multiplier)
         self.active = ActiveSet(self.blocks, self.comm)
 
@@ -158,6 +182,22 @@ class ContactPair(PairResults):
         near: Bool = (weight > 0.5) & (weight >= nearest[points.facet] - 1e-9)
         return near
 
+    def _check_apart(self, contactor: GatheredFacets) -> None:
+        """Contactor and target share no node: the gap would vanish there whatever happens.
+
+        Raises:
+            ValueError: on every rank.
+        """
+        if not (isinstance(self.target, DeformableTarget) and self.target.is_of(self._body1.u)):
+            return
+        shared = np.isin(contactor.blocks, self.target.surface.blocks)
+        if shared.any():
+            X = ", ".join(f"{x:.4g}" for x in contactor.X[shared][0])
+            raise ValueError(
+                f"{self.name}: contactor (tag {self.contact.contactor.tag}) and target ({self.contact.target_name}) share "
+                f"the node at X = ({X}): the bodies are joined there; give each its own nodes, or leave its facets out"
+            )
+
     def _redundant(self, fixed: Bool) -> Bool:
         """(nf, nodes, components) where the relative displacement is prescribed, so that the multiplier has nothing to
         enforce: on the contactor and, if the target is deformable and faced nearby, on the target too."""
@@ -169,7 +209,15 @@ class ContactPair(PairResults):
             on_target = self.target.fixed[self.target.facets[at.point.facet]]
             touching = np.linalg.norm(x - at.y, axis=1, keepdims=True) <= self.target.size
             fixed[facet, node] &= touching & (np.einsum("nk,nki->ni", np.abs(at.N), on_target) > 1 - 1e-6)
-        return fixed if self.contact.friction else np.asarray(fixed.all(axis=2, keepdims=True))
+        return fixed if self.friction else np.asarray(fixed.all(axis=2, keepdims=True))
+
+    def nodal_values(self, u: fem.Function) -> Array:
+        """(n, gdim) values of a Function of one of the bodies at those of its nodes that the pair's forces act on: of this
+        rank's contactor and of the whole target (collective)."""
+        mine = [self._at_nodes(u)] if u.function_space is self._body1.space else []
+        if isinstance(self.target, DeformableTarget) and self.target.is_of(u):
+            mine.append(self.target.at_nodes(u))
+        return np.concatenate([values.reshape(-1, self.gdim) for values in [np.zeros((0, self.gdim)), *mine]])
 
     def surface_stiffness(self, diagonals: Sequence[fem.Function]) -> float:
         """The softer side's mean nodal stiffness per facet area (Pa/m), from the diagonals (N/m) of the bodies' matrices."""
@@ -177,7 +225,17 @@ class ContactPair(PairResults):
         own = self._at_nodes(mine).mean(axis=(1, 2)) / self.integration.sum_by_facet(self.j)
         count = self.comm.allreduce(self.facets.size)
         contactor = self.comm.allreduce(float(own.sum())) / count
-        return min(contactor, self.target.stiffness(diagonals, self.contact.thickness))
+        sides = {
+            f"contactor (tag {self.contact.contactor.tag})": contactor,
+            f"target ({self.contact.target_name})": self.target.stiffness(diagonals, self.contact.thickness),
+        }
+        for side, stiffness in sides.items():
+            if not stiffness > 0:
+                raise ValueError(
+                    f"{self.name}: the {side} meets a stiffness of {stiffness:.3g} Pa/m in the start state: F has no "
+                    "internal virtual work on its cells, or with the wrong sign"
+                )
+        return min(sides.values())
 
     def set_law(self, stiffness: float, share: float = SOFTER) -> None:
         """Fix ε_N and ε_T: the user's, or a `share` of the bulk's `stiffness` at the two surfaces (Pa/m)."""
@@ -188,10 +246,15 @@ class ContactPair(PairResults):
         self.stiffness, self.unit = stiffness, default
         self.ε = Augmentation(εN, εT)
         # the residual of an open point, ν λ_N/ε_N − λ_T/ε_T, turns with ν unless ε_N = ε_T
-        self._same_ε = εN == εT or not c.friction
+        self._same_ε = εN == εT or not self.friction
         self.law: Frictionless | Coulomb = Frictionless(self.ε)
-        if c.friction:
-            self.law = Coulomb(self.ε, c.friction, noise=εT * self.kinematics.touch)
+        if self.friction:
+            self.law = Coulomb(self.ε, self.μ, noise=εT * self.kinematics.touch)
+
+    @property
+    def μ(self) -> float:
+        """Coulomb's coefficient as it is now."""
+        return _coefficient(constant_value(self.contact.friction))
 
     def start(self) -> None:
         """Project for the first time; slip is counted from the present state. Points that touch count as closed.
@@ -221,10 +284,41 @@ class ContactPair(PairResults):
                 f"(tag {self.contact.contactor.tag}) everywhere: pass the side of the body that faces it"
             )
 
+    def check_behind(self) -> None:
+        """Refuse a contactor whose body lies behind the target altogether (collective): it has gone through, or the target's
+        outward side is the other one. A membrane may lie up to a target facet behind, as an overlap to be resolved.
+
+        Raises:
+            ValueError: on every rank.
+        """
+        k, comm, membrane = self.kinematics, self.comm, self.contact.contactor.is_membrane
+        if comm.allreduce(float(self._depth(k.x).min(initial=np.inf)), MPI.MIN) < -k.touch:
+            return
+        body, d = self._body1, self.gdim
+        mine = np.isin(
+            body.piece, sorted(set().union(*comm.allgather(set(body.piece[self.facets.dofs].ravel().tolist()))))
+        )
+        x = body.space.tabulate_dof_coordinates()[:, :d] + body.u.x.array.reshape(-1, d)
+        depth = self._depth(x[mine])
+        least = comm.allreduce(float(depth.min(initial=np.inf)), MPI.MIN)
+        deepest = comm.allreduce(float(depth.max(initial=-np.inf)), MPI.MAX)
+        if least >= -k.touch and deepest > (self.target.size if membrane else k.touch):
+            raise ValueError(
+                f"{self.name}: the contactor (tag {self.contact.contactor.tag}) lies with its whole body behind the target "
+                f"({self.contact.target_name}): move it to the other side, or turn the target's normal round"
+            )
+
+    def _depth(self, x: Array) -> Array:
+        """(n,) how far positions 𝐱 (n, gdim) lie behind the target's closest point (m), −∞ where they face none."""
+        closest = self.target.closest(x)
+        return np.where(closest.facing, closest.g, -np.inf)
+
     # ---------------------------------------------------------------- state
 
     def begin(self) -> None:
         """A new solve."""
+        if isinstance(self.law, Coulomb):
+            self.law = replace(self.law, μ=self.μ)
         self.active.begin()
 
     def evaluate(self) -> None:

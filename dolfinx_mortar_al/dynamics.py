@@ -19,11 +19,13 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al import validation
 from dolfinx_mortar_al.monitors import Finding, Reporter
 from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.newton import NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot
 from dolfinx_mortar_al.quasistatic import StepFailure
+from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.velocity_projection import VelocityProjection
 
 __all__ = ["Ledger", "Motion", "Step", "march"]
@@ -124,16 +126,23 @@ def march(
         ledger: to go on with, from an earlier march.
 
     Raises:
-        ValueError: `to` not after `start`, or a tolerance that is not positive.
+        ValueError: `to` not after `start`, a tolerance that is not positive, or motions other than those of the problem, one
+            for each displacement.
         StepFailure: on every rank.
     """
-    if not to > start:
-        raise ValueError(f"to = {to}: must be later than start = {start}")
-    if tolerance is not None and not tolerance > 0:
-        raise ValueError(f"tolerance = {tolerance}: needs a positive length in metres (leave it out for equal steps)")
-    all_motions = [motions] if isinstance(motions, Motion) else list(motions)
+    all_motions = validation.listed("motions", motions, Motion, "a Motion")
+    if move is not None:
+        validation.check_callable("move", move, "the time")
+    validation.check_motions(all_motions, [body.u for body in problem.bodies.bodies])
+    start, smallest = validation.number("start", start), validation.number("smallest", smallest, above=0.0, most=1.0)
+    to = validation.number("to", to, above=start, must="the end of the march must be")
+    if tolerance is not None:
+        tolerance = validation.number("tolerance", tolerance, above=0.0)
+    said = (start, to, tolerance, [float(motion.Δt.value) for motion in all_motions])
+    agreed(problem.comm, "start, to, tolerance, Δt", said)
     problem.members |= {f"motion{k}": motion for k, motion in enumerate(all_motions)}
     stepper = _Stepper(problem, all_motions, move, solver, ledger)
+    validation.check_kinetic(stepper.ledger.kinetic)
     longest = float(stepper.motions[0].Δt.value)
     steps = int(np.ceil((to - start) / longest - 1e-9))
     time, Δt, number = start, longest, 1

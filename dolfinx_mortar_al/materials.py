@@ -14,6 +14,8 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
+from dolfinx_mortar_al.validation import check_law, constant_value, number, positive_or_ufl
+
 __all__ = [
     "Hyperelastic",
     "NeoHookean",
@@ -40,12 +42,16 @@ def cell_measure(u: fem.Function, dx: ufl.Measure | None = None) -> ufl.Measure:
     return dx if "quadrature_degree" in dx.metadata() else dx(degree=2 * V.ufl_element().embedded_subdegree)
 
 
-def lame(E: float, ν: float) -> tuple[float, float]:
-    """Lamé's (G, Λ) in Pa from Young's modulus E (Pa) and Poisson's ratio ν."""
-    if not E > 0:
-        raise ValueError(f"E = {E}: Young's modulus must be positive (Pa)")
-    if not -1 < ν < 0.5:
-        raise ValueError(f"nu = {ν}: Poisson's ratio must lie in (-1, 0.5)")
+def lame(E: Any, ν: Any) -> tuple[Any, Any]:
+    """Lamé's (G, Λ) in Pa from Young's modulus E (Pa) and Poisson's ratio ν: numbers, or UFL such as a Constant.
+
+    Raises:
+        ValueError: on numbers out of range; a UFL expression has none to look at.
+    """
+    if not isinstance(constant_value(E), Expr):
+        number("E", constant_value(E), above=0.0, must="Young's modulus (Pa) must be")
+    if not isinstance(constant_value(ν), Expr):
+        number("nu", constant_value(ν), above=-1.0, below=0.5, must="Poisson's ratio must be")
     return E / (2 * (1 + ν)), E * ν / ((1 + ν) * (1 - 2 * ν))
 
 
@@ -53,8 +59,8 @@ def lame(E: float, ν: float) -> tuple[float, float]:
 class Hyperelastic(ABC):
     """A stored energy w(𝐅) per reference volume, with Lamé's moduli G and Λ in Pa."""
 
-    G: float
-    Λ: float
+    G: Any
+    Λ: Any
 
     def energy(self, F: Expr) -> Expr:
         """w(𝐅) in J/m³."""
@@ -98,6 +104,8 @@ class Hyperelastic(ABC):
             thickness: of the body out of the plane (m), for a two-dimensional u.
             dx: measure of the body's cells, default all of the mesh; its quadrature degree defaults to twice u's order.
         """
+        check_law(u, membrane=False, what=type(self).__name__)
+        thickness = positive_or_ufl("thickness", thickness)
         v = ufl.TestFunction(u.function_space) if v is None else v
         dx = cell_measure(u, dx)
         return thickness * ufl.inner(self.first_piola(deformation_gradient(u)), ufl.grad(v)) * dx
@@ -140,11 +148,11 @@ class NeoHookean(Hyperelastic):
         return self.G * (F - F_inv_T) + self.Λ * ufl.ln(ufl.det(F)) * F_inv_T
 
 
-def saint_venant_kirchhoff(E: float, nu: float) -> SaintVenantKirchhoff:
-    """St Venant–Kirchhoff material from Young's modulus E (Pa) and Poisson's ratio ν."""
+def saint_venant_kirchhoff(E: Any, nu: Any) -> SaintVenantKirchhoff:
+    """St Venant–Kirchhoff material from Young's modulus E (Pa) and Poisson's ratio ν, as :func:`lame` takes them."""
     return SaintVenantKirchhoff(*lame(E, nu))
 
 
-def neo_hookean(E: float, nu: float) -> NeoHookean:
-    """The paper's neo-Hookean material from Young's modulus E (Pa) and Poisson's ratio ν."""
+def neo_hookean(E: Any, nu: Any) -> NeoHookean:
+    """The paper's neo-Hookean material from Young's modulus E (Pa) and Poisson's ratio ν, as :func:`lame` takes them."""
     return NeoHookean(*lame(E, nu))

@@ -15,6 +15,7 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfinx_mortar_al.materials import cell_measure, lame
+from dolfinx_mortar_al.validation import check_law, constant_value, positive_or_ufl, vector
 
 __all__ = [
     "NeoHookeanMembrane",
@@ -66,10 +67,17 @@ def area_vector(u: fem.Function, side: Any) -> Expr:
     Args:
         u: displacement (m).
         side: a vector (numbers, or UFL in reference coordinates) that points to that side of the reference membrane.
+
+    Raises:
+        ValueError: on a mesh that is no membrane, or a side that is no vector of its space.
     """
+    check_law(u, membrane=True, what="area_vector")
     mesh = u.function_space.mesh
     J = ufl.Jacobian(mesh)
-    side = side if isinstance(side, Expr) else ufl.as_vector(side)
+    if not isinstance(side, Expr):
+        side = ufl.as_vector(vector("side", side, mesh.geometry.dim).tolist())
+    elif side.ufl_shape != (mesh.geometry.dim,):
+        raise ValueError(f"side = {side}: needs {mesh.geometry.dim} components")
     reference, current = _normal(J), _normal(J + ufl.grad(u) * J)
     turn = ufl.conditional(ufl.gt(ufl.inner(reference, side), 0.0), 1.0, -1.0)
     return turn * current / ufl.sqrt(ufl.inner(reference, reference))
@@ -90,9 +98,9 @@ class NeoHookeanMembrane:
     the pseudo-inverse 𝐅⁺.
     """
 
-    G: float
-    Λ: float
-    thickness: float
+    G: Any
+    Λ: Any
+    thickness: Any
 
     def squared_thickness_stretch(self, J: Expr) -> Expr:
         """x(J), by Halley's iteration on y = ln x: exact to round-off, and so is its derivative."""
@@ -120,6 +128,7 @@ class NeoHookeanMembrane:
             v: virtual displacement, default the test function of u's space.
             dx: measure of the membrane's cells, default all; its quadrature degree defaults to twice the order of u.
         """
+        check_law(u, membrane=True, what=type(self).__name__)
         v = ufl.TestFunction(u.function_space) if v is None else v
         P = self.first_piola(tangent_gradient(u), u.function_space.mesh.topology.dim)
         return self.thickness * ufl.inner(P, ufl.grad(v)) * cell_measure(u, dx)
@@ -130,14 +139,13 @@ class NeoHookeanMembrane:
         return self.thickness * self.G * (l - x / l)
 
 
-def neo_hookean_membrane(E: float, nu: float, thickness: float) -> NeoHookeanMembrane:
-    """Neo-Hookean membrane from Young's modulus E (Pa), Poisson's ratio ν and thickness (m).
+def neo_hookean_membrane(E: Any, nu: Any, thickness: Any) -> NeoHookeanMembrane:
+    """Neo-Hookean membrane from Young's modulus E (Pa), Poisson's ratio ν and thickness (m), numbers or UFL.
 
     Raises:
         ValueError: on moduli out of range, ν < 0 (the thickness is then not unique) or a thickness that is not positive.
     """
-    if nu < 0:
-        raise ValueError(f"nu = {nu}: a membrane needs 0 ≤ ν < 0.5, for ν < 0 its thickness stretch is not unique")
-    if not thickness > 0:
-        raise ValueError(f"thickness = {thickness}: must be positive (m)")
-    return NeoHookeanMembrane(*lame(E, nu), thickness)
+    moduli, ν = lame(E, nu), constant_value(nu)
+    if not isinstance(ν, Expr) and float(ν) < 0:
+        raise ValueError(f"nu = {ν}: a membrane needs 0 ≤ ν < 0.5, for ν < 0 its thickness stretch is not unique")
+    return NeoHookeanMembrane(*moduli, positive_or_ufl("thickness", thickness))

@@ -6,6 +6,7 @@ place, and goes on or stops.
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,8 +20,9 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.materials import Hyperelastic, deformation_gradient
 from dolfinx_mortar_al.membrane import NeoHookeanMembrane
+from dolfinx_mortar_al.validation import check_law, number
 
-__all__ = ["Finding", "ModelWarning", "Monitor", "Reporter", "ellipticity", "inversion", "wrinkling"]
+__all__ = ["Finding", "ModelWarning", "Monitor", "Reporter", "ellipticity", "inversion", "show_warnings", "wrinkling"]
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,15 @@ class Finding:
 
 class ModelWarning(UserWarning):
     """A converged state is outside of what the model can show."""
+
+
+def show_warnings() -> None:
+    """Let Python print warnings: ffcx hands them to a logger without handlers, where nobody sees them. Where the program has
+    set up logging of its own, they go there."""
+    loggers = (logging.getLogger("py.warnings"), logging.getLogger())
+    handlers = [handler for logger in loggers for handler in logger.handlers]
+    if all(isinstance(handler, logging.NullHandler) for handler in handlers):
+        logging.captureWarnings(False)
 
 
 class Reporter:
@@ -67,12 +78,20 @@ class Monitor:
         bound: the quantity should stay above it.
         meaning: what it means when it does not, in words.
         fatal: whether the run must stop there.
+
+    Raises:
+        ValueError: on a quantity that is no scalar, or a bound that is no number.
     """
 
     def __init__(
         self, name: str, quantity: Any, u: fem.Function, *, bound: float, meaning: str, fatal: bool = False
     ) -> None:
         mesh = u.function_space.mesh
+        if not isinstance(quantity, ufl.core.expr.Expr) or quantity.ufl_shape != ():
+            raise ValueError(
+                f"quantity of the monitor {name!r}: must be a UFL scalar; take a component or an invariant"
+            )
+        bound = number(f"bound of the monitor {name!r}", bound)
         self.name, self.bound, self.meaning, self.fatal = name, bound, meaning, fatal
         self.comm = mesh.comm
         points = make_quadrature(mesh.basix_cell(), 2 * u.function_space.element.basix_element.degree)[0]
@@ -104,12 +123,14 @@ class Monitor:
 
 def wrinkling(membrane: NeoHookeanMembrane, u: fem.Function) -> Monitor:
     """Least tension of a membrane (N/m): where it is negative a real membrane wrinkles, which the model does not."""
+    check_law(u, membrane=True, what="wrinkling")
     meaning = "the membrane is in compression and would wrinkle, which this model does not show"
     return Monitor("tension (N/m)", membrane.smallest_tension(u), u, bound=0.0, meaning=meaning)
 
 
 def inversion(u: fem.Function) -> Monitor:
     """Least det 𝐅 of a body; at or below zero matter is turned inside out."""
+    check_law(u, membrane=False, what="inversion")
     meaning = "a cell is inverted"
     return Monitor("det F", ufl.det(deformation_gradient(u)), u, bound=0.0, meaning=meaning, fatal=True)
 
@@ -124,6 +145,7 @@ def ellipticity(material: Hyperelastic, u: fem.Function, directions: int = 16) -
     """
     if len(u) != 2:
         raise ValueError(f"u has {len(u)} components: ellipticity is watched in the plane only")
+    check_law(u, membrane=False, what="ellipticity")
     F = ufl.variable(deformation_gradient(u))
     C = ufl.diff(material.first_piola(F), F)  # ∂P_iJ/∂F_kL
     least: Any = None

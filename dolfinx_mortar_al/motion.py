@@ -11,6 +11,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.materials import Hyperelastic, cell_measure, deformation_gradient
+from dolfinx_mortar_al.validation import check_external, check_law, number, positive_or_ufl
 
 __all__ = ["Motion"]
 
@@ -50,9 +51,12 @@ class Motion:
         thickness: float = 1.0,
         external: Any = None,
     ) -> None:
-        if not density > 0 or not step > 0 or not 0.5 <= theta <= 1:
-            raise ValueError(f"density = {density}, step = {step}, theta = {theta}: need ρ > 0, Δt > 0, ½ ≤ θ ≤ 1")
-        if force not in ("consistent", "trapezoidal"):
+        density, thickness = positive_or_ufl("density", density), positive_or_ufl("thickness", thickness)
+        step = number("step", step, above=0.0, must="Δt (s) must be")
+        theta = number("theta", theta, least=0.5, most=1.0, must="θ must be")
+        check_law(u, membrane=False, what="Motion")
+        check_external(external, u)
+        if not isinstance(force, str) or force not in ("consistent", "trapezoidal"):
             raise ValueError(f'force = "{force}": "consistent" or "trapezoidal"')
         V = u.function_space
         self.u, self.material, self.density, self.thickness, self.θ = u, material, density, thickness, theta

@@ -1,7 +1,8 @@
 """Coupled Newton solve by PETSc SNES: convergence per block, guarded trial steps, detection of cycles.
 
 Options reach SNES, KSP and PC from the command line under the solver's prefix (default ``contact_``):
-``-contact_snes_monitor -contact_snes_max_it 40 -contact_pc_factor_mat_solver_type superlu_dist``.
+``-contact_snes_monitor -contact_snes_max_it 40 -contact_ksp_type fgmres -contact_mat_mumps_icntl_14 200``. The matrix is a
+MATNEST, which MUMPS alone of PETSc's direct solvers takes.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.validation import check_callable, number, whole
 
 __all__ = ["Load", "NewtonResult", "NewtonSolver", "Path"]
 
@@ -28,10 +30,10 @@ FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane'
 LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, as a share of the largest pressure
 LONGEST = 4.0  # target facets that a closed point may move over the target in one iteration
 WORKSPACE, TOO_LITTLE_WORKSPACE = 100, (-8, -9)  # % that MUMPS gets beside its estimate; its codes for "not enough"
+UNSUITABLE = (56, 60, 62, 86, 92)  # PETSc's error codes where a solver does not take the matrix, or is not known
 EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
 ROUND_OFF = 100.0  # multiples of the tolerance in which a residual that stands still counts as round-off
-SPRING = 1e-8  # of pieces that contact alone holds, as a share of their stiffness, times the relative residual
-LEAST_SPRING = 1e-13  # what is left of it where a motion stays free, such as sliding without friction
+SPRING = 1e-8  # of pieces that contact alone holds, as a share of their stiffness or that of what they press
 PROGRESS = 0.1  # of the residual between two visits of a contact pattern that is no cycle
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
 MAX_FREEZES = 20  # times that friction bounds are brought up to date in a solve
@@ -72,7 +74,24 @@ class Load:
 
     @classmethod
     def of(cls, load: fem.Constant | Callable[[float], None], start: float | None = None) -> Load:
-        """From a UFL constant, or from a function that sets what depends on the load (`start`: its present value)."""
+        """From a UFL constant, or from a function that sets what depends on the load (`start`: its present value).
+
+        Raises:
+            ValueError: if it is neither.
+        """
+        if isinstance(load, fem.Function) or not (callable(load) or isinstance(load, fem.Constant)):
+            raise ValueError(
+                f"load: {type(load).__name__} is neither a scalar Constant nor a function that is called with the load; for "
+                "loads of other kinds pass a function that sets them"
+            )
+        if isinstance(load, fem.Constant) and load.value.shape != ():
+            raise ValueError(
+                f"load: a Constant of shape {load.value.shape}; the load parameter is one number: pass a scalar one that "
+                "multiplies a vector, or a function that sets this one"
+            )
+        start = None if start is None else number("start", start)
+        if not isinstance(load, fem.Constant):
+            check_callable("load", load, "the load")
         if isinstance(load, fem.Constant):
             return cls(float(load.value) if start is None else start, lambda value: setattr(load, "value", value))
         return cls(0.0 if start is None else start, load)
@@ -118,7 +137,8 @@ class NewtonSolver:
 
     Args:
         problem: the problem.
-        rtol: of both blocks: forces against the bulk's and the contact's, gaps against pressure over stiffness.
+        rtol: of all blocks: forces against the bulk's and the contact's on each connected piece of a body, gaps against
+            pressure over stiffness.
         max_iterations: of one solve; `-contact_snes_max_it` overrides it.
         prefix: of the PETSc options.
     """
@@ -129,8 +149,8 @@ class NewtonSolver:
     def __init__(
         self, problem: ContactProblem, *, rtol: float = 1e-9, max_iterations: int = 80, prefix: str = "contact_"
     ) -> None:
-        self.problem, self.rtol = problem, rtol
-        self._max_iterations, self._prefix = max_iterations, prefix
+        self.problem, self.rtol = problem, number("rtol", rtol, above=0.0, below=1.0)
+        self._max_iterations, self._prefix = whole("max_iterations", max_iterations, least=1), prefix
         self._workspace = WORKSPACE
         self.snes = self._create()
 
@@ -169,9 +189,10 @@ class NewtonSolver:
         With `path` the load is an unknown too, and the present displacements are the prediction of the path.
         """
         p, self._path = self.problem, path
+        p.bodies.check_constants()
         self.result = NewtonResult()
         self._patterns: list[int] = []
-        self._cycles, self._damping, self._freezes = 0, 1.0, 0
+        self._cycles, self._damping, self._freezes, self._whole_step = 0, 1.0, 0, True
         self._law_since, self._set_since, self._freed = 0, 0, False
         for pair in p.pairs:
             pair.begin()
@@ -182,6 +203,8 @@ class NewtonSolver:
             try:
                 self.snes.solve(None, p.x)
             except PETSc.Error as error:
+                if error.ierr in UNSUITABLE:
+                    raise ValueError(self._unsuitable()) from error
                 if error.ierr != EXTERNAL:
                     raise
                 return self._singular()
@@ -196,6 +219,17 @@ class NewtonSolver:
         else:
             self.result.message = (self.result.message or self._failure(reason)) + self._advice()
         return self._singular() if reason == _Reason.DIVERGED_LINEAR_SOLVE else self.result
+
+    def _unsuitable(self) -> str:
+        """What the options ask for that PETSc cannot do."""
+        pc = self.snes.getKSP().getPC()
+        asked = f"ksp_type {self.snes.getKSP().getType()}, pc_type {pc.getType()}"
+        if pc.getType() == "lu":
+            asked += f", pc_factor_mat_solver_type {pc.getFactorSolverType()}"
+        return (
+            f"options of the prefix {self._prefix}: {asked} is not known, or does not take a matrix of blocks (MATNEST); "
+            "MUMPS does, with or without a Krylov method around it"
+        )
 
     def _singular(self) -> NewtonResult:
         """A failed solve after which MUMPS' object cannot be used again. The next one has a fictitious tension's help, or
@@ -219,7 +253,7 @@ class NewtonSolver:
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         self.problem.tension = self._fictitious_tension()
         first, last = max(self.result.norms[0]), max(self.result.norms[-1])
-        self.problem.spring_share = max(SPRING * min(1.0, last / max(first, 1e-300)), LEAST_SPRING)
+        self.problem.spring_share = SPRING * min(1.0, last / max(first, 1e-300))
         self.problem.assemble_jacobian()
         if self.problem.matrix.handle != A.handle:  # a new pattern
             snes.setJacobian(self._jacobian, self.problem.matrix)
@@ -238,7 +272,7 @@ class NewtonSolver:
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
         f = self.problem.residual.getNestSubVecs() if iteration == 0 else snes.getFunction()[0].getNestSubVecs()
-        ratio = [v.norm() / scale for v, scale in zip(f, self._scales(), strict=True)]
+        ratio = self.problem.residual_ratios(f, self.rtol, corrected=iteration > 0 and self._whole_step)
         self.result.norms.append(ratio)
         self.result.residual = max(ratio) * self.rtol
         if not np.isfinite(ratio).all():
@@ -268,16 +302,6 @@ class NewtonSolver:
         """Whether the residual stands still a little above its tolerance: on fine meshes round-off may lie there."""
         last = [max(norms) for norms in self.result.norms[-3:]]
         return len(last) == 3 and max(last) <= ROUND_OFF and last[2] > 0.5 * last[1] and last[1] > 0.5 * last[0]
-
-    def _scales(self) -> list[float]:
-        """The norm below which each block counts as converged."""
-        p = self.problem
-        forces = [pair.nodal_forces() for pair in p.pairs]
-        scale_U = max([p.force_scale, p.force_reference, *forces])
-        scales = [max(self.rtol * scale_U, p.force_floor)]
-        for pair, force, floor in zip(p.pairs, forces, p.gap_floor, strict=True):
-            scales.append(pair.unit * max(self.rtol * max(force, p.force_reference) / pair.stiffness, floor))
-        return scales
 
     def _update(self, snes: PETSc.SNES, iteration: int) -> None:
         """At the start of an iteration the active sets change, and the residual with them."""
@@ -310,9 +334,9 @@ class NewtonSolver:
 
     def _freeze(self, iteration: int) -> bool:
         """Freeze the friction bounds; whether there were any that were free."""
-        free = [pair for pair in self.problem.pairs if pair.contact.friction and pair.active.frozen is None]
+        free = [pair for pair in self.problem.pairs if pair.friction and pair.active.frozen is None]
         for pair in free:
-            pair.active.freeze(pair.state, pair.contact.friction)
+            pair.active.freeze(pair.state, pair.μ)
         self._law_since = iteration if free else self._law_since
         return bool(free)
 
@@ -320,7 +344,7 @@ class NewtonSolver:
         """A state has converged with friction bounds that were frozen and are not μp: bring them up to date (a fixed point of
         Tresca's problems), or free them, once, as soon as they are nearly right."""
         pairs = [pair for pair in self.problem.pairs if pair.active.frozen is not None]
-        stale = max([pair.active.staleness(pair.state, pair.contact.friction) for pair in pairs], default=0.0)
+        stale = max([pair.active.staleness(pair.state, pair.μ) for pair in pairs], default=0.0)
         if stale <= BOUND_TOLERANCE:
             return False
         free, self._freezes = stale < NEARLY and not self._freed, self._freezes + 1
@@ -329,7 +353,7 @@ class NewtonSolver:
             if free:
                 pair.active.thaw()
             else:
-                pair.active.freeze(pair.state, pair.contact.friction)
+                pair.active.freeze(pair.state, pair.μ)
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         self.problem.reconsider(self.snes.getFunction()[0])
         return True
@@ -355,6 +379,7 @@ class NewtonSolver:
                     break
                 length /= 2
                 p.bodies.set(xu.array_r - length * yu.array_r)
+        self._whole_step = length == 1.0
         if self._path is not None:
             self._path.load.value += length * change
         if length < 1.0:
@@ -393,7 +418,7 @@ class NewtonSolver:
     def _failure(self, reason: int) -> str:
         """Why a solve failed: which blocks, where, and what to do."""
         if not self.result.norms:
-            return "the residual is not a number at the start: a cell is inverted, or a law or load has no value there"
+            return "the residual is not a number at the start: a cell is inverted, or a law, load or condition has none"
         names, last = ["equilibrium", *(pair.name for pair in self.problem.pairs)], self.result.norms[-1]
         open_blocks = ", ".join(f"{n} at {v:.1e} of its tolerance" for n, v in zip(names, last, strict=True) if v > 1)
         known = {_Reason.DIVERGED_MAX_IT: "no convergence", _Reason.DIVERGED_LINEAR_SOLVE: "the linear solve failed"}
@@ -414,9 +439,8 @@ class NewtonSolver:
         """What a failed solve says of the equilibrium itself."""
         p, parts = self.problem, []
         if p.floating:
-            held = " and ".join(str(piece) for piece in p.floating)
             parts.append(
-                f"contact alone holds {held}: press it on, prescribe the motion that is free, add friction, or let it "
+                f"{' and '.join(p.unheld())}: press it on, prescribe the motion that is free, add friction, or let it "
                 "move with dynamics.march"
             )
         elif any(sign < 0 for sign in self.result.signs):

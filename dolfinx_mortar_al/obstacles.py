@@ -16,11 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from dolfinx_mortar_al.closest_point import ClosestPoint
 from dolfinx_mortar_al.projection import TargetPoint
+from dolfinx_mortar_al.validation import number
 
 __all__ = ["Obstacle", "Pose", "RigidCylinder", "RigidPlane", "RigidSphere"]
 
 Array = NDArray[np.float64]
 
+ONE_ANGLE = "needs one finite angle in rad in two dimensions,"
 NO_DIRECTION = 1e-12  # distance to a centre or axis, in radii, below which no closest point is defined
 
 
@@ -84,6 +86,8 @@ class Obstacle(ABC):
 
     @pose.setter
     def pose(self, pose: Pose) -> None:
+        if not isinstance(pose, Pose):
+            raise ValueError(f"pose: {type(pose).__name__} is not a Pose; move() makes one")
         new = Pose(_vector("translation", pose.translation, self.gdim), np.array(pose.rotation, dtype=np.float64))
         Q, eye = new.rotation, np.eye(self.gdim)
         if Q.shape != eye.shape or not np.allclose(Q.T @ Q, eye, atol=1e-9) or np.linalg.det(Q) < 0:
@@ -237,16 +241,18 @@ def _rotation_matrix(rotation: ArrayLike | None, gdim: int) -> Array:
         from scipy.spatial.transform import Rotation  # slow to import
 
         return np.asarray(Rotation.from_rotvec(_vector("rotation", rotation, 3)).as_matrix(), dtype=np.float64)
-    angle = np.asarray(rotation, dtype=np.float64)
-    if angle.size != 1 or not np.isfinite(angle).all():
-        raise ValueError(f"rotation = {rotation}: needs one finite angle in rad in two dimensions")
-    c, s = np.cos(angle.item()), np.sin(angle.item())
+    single: Any = rotation
+    angle = number("rotation", single[0] if np.shape(single) == (1,) else single, must=ONE_ANGLE)
+    c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
 
 
 def _vector(name: str, value: Any, gdim: int | None = None) -> Array:
     """`value` as a copied array of gdim finite components, 2 or 3 where gdim is None."""
-    vector = np.array(value, dtype=np.float64)
+    try:
+        vector = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        vector = np.zeros(0)
     if vector.shape not in ([(2,), (3,)] if gdim is None else [(gdim,)]) or not np.isfinite(vector).all():
         raise ValueError(f"{name} = {value}: needs {'2 or 3' if gdim is None else gdim} finite components")
     return vector
@@ -263,8 +269,6 @@ def _unit(name: str, value: Any, gdim: int) -> Array:
 
 
 def _radius(value: float) -> float:
-    if not (np.isfinite(value) and value > 0):
-        raise ValueError(
-            f"radius = {value}: needs a positive finite length in metres (inside=True puts the matter outside)"
-        )
-    return float(value)
+    return number(
+        "radius", value, above=0.0, must="needs a positive length in metres (inside=True puts the matter outside),"
+    )

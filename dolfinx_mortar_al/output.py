@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import ctypes
 import json
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.ranks import on_root, together
+from dolfinx_mortar_al.validation import vector
 
 __all__ = ["History", "ParaView", "Profile", "Run", "contact_profile", "deformed_cells", "extent", "probe", "summary"]
 
@@ -28,46 +36,76 @@ class History:
         problem: its communicator's rank 0 writes.
         directory: where to write; made if missing.
         columns: names, in order, of every row.
-        resume: keep the rows of an interrupted run whose first column is at most this.
+        resume: keep the rows of an interrupted run up to the one with this in its first column.
+
+    Raises:
+        OSError: on every rank, if the folder cannot be made or written to.
+        ValueError: on every rank, if a file to be resumed has other columns or text in place of numbers.
     """
 
     def __init__(
-        self, problem: ContactProblem, directory: Path, columns: Sequence[str], resume: float | None = None
+        self, problem: ContactProblem, directory: Path | str, columns: Sequence[str], resume: float | None = None
     ) -> None:
-        self.columns, self.rows = list(columns), []  # type: list[str], list[dict[str, float]]
-        self.path = directory / "history.csv"
-        self._writes = problem.comm.rank == 0
-        if self._writes:
-            directory.mkdir(parents=True, exist_ok=True)
-            self.rows = [] if resume is None else self._rows_until(resume)
-            temporary = self.path.with_suffix(".tmp")
-            with temporary.open("w", newline="") as file:
-                csv.writer(file).writerow(self.columns)
-                csv.writer(file).writerows([[repr(row[name]) for name in self.columns] for row in self.rows])
-            temporary.replace(self.path)
-        self.rows = problem.comm.bcast(self.rows, root=0)
+        self.columns, self.comm = list(columns), problem.comm
+        self.path = Path(directory) / "history.csv"
+        self.rows: list[dict[str, float]] = on_root(self.comm, lambda: self._open(resume))
+
+    def _open(self, resume: float | None) -> list[dict[str, float]]:
+        """Start the file with the rows to keep."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        rows = [] if resume is None else self._rows_until(resume)
+        with _replaced(self.path) as file:
+            csv.writer(file).writerow(self.columns)
+            csv.writer(file).writerows([[repr(row[name]) for name in self.columns] for row in rows])
+        return rows
 
     def _rows_until(self, last: float) -> list[dict[str, float]]:
-        """The complete rows on disk up to `last`."""
+        """The complete rows on disk up to `last`, which the run has come to from either side."""
         if not self.path.exists():
             return []
         lines = self.path.read_text().split("\n")[:-1]  # a line cut short has no end
+        header = next(csv.reader(lines[:1]), self.columns)
+        if header != self.columns:
+            raise ValueError(
+                f"{self.path}: has the columns {header}, this run {self.columns}; resume with the same, or write to "
+                "another folder"
+            )
         rows = [row for row in csv.reader(lines[1:]) if len(row) == len(self.columns)]
-        kept = [dict(zip(self.columns, map(float, row), strict=True)) for row in rows]
-        return [row for row in kept if row[self.columns[0]] <= last * (1 + 1e-12)]
+        try:
+            kept = [dict(zip(self.columns, map(float, row), strict=True)) for row in rows]
+        except ValueError as error:
+            raise ValueError(f"{self.path}: {error}; mend the row, or write to another folder") from None
+        at = np.array([row[self.columns[0]] for row in kept])
+        met = np.flatnonzero(np.abs(at - last) <= 1e-12 * abs(last))
+        if len(met):
+            return kept[: met[-1] + 1]
+        way = np.sign(at[-1] - at[0] if len(at) > 1 else at.sum())  # up or down
+        beyond = np.flatnonzero(way * (at - last) > 0)
+        return kept[: beyond[0]] if len(beyond) else kept
 
     def add(self, **row: float) -> None:
-        """Append a row; the same on every rank.
+        """Append a row (collective; rank 0's numbers count).
 
         Raises:
-            ValueError: if the names are not those of the columns.
+            ValueError: on every rank, if the names are not those of the columns, or a value is not a number.
+            OSError: on every rank, if it cannot be written; the rows before stay on disk as they are.
         """
+        self.rows.append(on_root(self.comm, lambda: self._append(row)))
+
+    def _append(self, row: Mapping[str, Any]) -> dict[str, float]:
         if set(row) != set(self.columns):
             raise ValueError(f"a row has {sorted(row)}; the columns of {self.path.name} are {self.columns}")
-        self.rows.append(row)
-        if self._writes:
-            with self.path.open("a", newline="") as file:
-                csv.writer(file).writerow([repr(float(row[name])) for name in self.columns])
+        values = {name: _number(name, row[name]) for name in self.columns}
+        with self.path.open("r+", newline="") as file:
+            end = file.seek(0, os.SEEK_END)
+            try:
+                csv.writer(file).writerow([repr(value) for value in values.values()])
+                file.flush()
+            except OSError:
+                with contextlib.suppress(OSError):
+                    os.truncate(self.path, end)
+                raise
+        return values
 
     def column(self, name: str) -> Array:
         """All values of a column so far."""
@@ -75,7 +113,7 @@ class History:
 
 
 def summary(
-    problem: ContactProblem, history: History, directory: Path, parameters: Mapping[str, Any], rejected: int
+    problem: ContactProblem, history: History, directory: Path | str, parameters: Mapping[str, Any], rejected: int
 ) -> dict[str, Any]:
     """Write summary.json: parameters, versions, ranks, unknowns, ε, Newton iterations, wall time per part, last row."""
     import dolfinx
@@ -93,18 +131,53 @@ def summary(
         "wall_time": {part: round(s, 4) for part, s in sorted(problem.stopwatch.seconds.items())},
         "last": history.rows[-1] if history.rows else None,
     }
-    if problem.comm.rank == 0:
-        (directory / "summary.json").write_text(json.dumps(result, indent=2, ensure_ascii=False) + "\n")
+    on_root(problem.comm, lambda: _write_json(Path(directory) / "summary.json", result))
     return result
 
 
-class ParaView:
-    """ParaView series (.bp): displacement on the bodies, and each pair's multiplier on its contactor's facets."""
+def _write_json(path: Path, said: Mapping[str, Any]) -> None:
+    with _replaced(path) as file:
+        file.write(json.dumps(said, indent=2, ensure_ascii=False, default=str) + "\n")
 
-    def __init__(self, problem: ContactProblem, directory: Path) -> None:
+
+@contextlib.contextmanager
+def _replaced(path: Path) -> Iterator[TextIO]:
+    """A new text for a file, which stays what it was until the text is whole."""
+    temporary = path.with_suffix(".tmp")
+    try:
+        with temporary.open("w", newline="") as file:
+            yield file
+        temporary.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} = {value}: a row has one number in each column") from None
+
+
+class ParaView:
+    """ParaView series (.bp): displacement on the bodies, and each pair's multiplier on its contactor's facets.
+
+    Args:
+        problem: the problem.
+        directory: where to write; made if missing.
+        resume: load or time from which an interrupted run goes on: its series are kept, and new ones begun beside them.
+
+    Raises:
+        OSError, RuntimeError: on every rank, if they cannot be written.
+    """
+
+    def __init__(self, problem: ContactProblem, directory: Path | str, resume: float | None = None) -> None:
         from dolfinx.io import VTXWriter
 
-        directory.mkdir(parents=True, exist_ok=True)
+        folder, self._comm, later = Path(directory), problem.comm, "" if not resume else f"_from_{resume:.6g}"
+        on_root(problem.comm, lambda: folder.mkdir(parents=True, exist_ok=True))
         self.problem = problem
         self._multipliers = [pair.multiplier.complete() for pair in problem.pairs]
         bodies = problem.bodies.bodies
@@ -115,20 +188,38 @@ class ParaView:
             f"multiplier_{pair.name}": field for pair, field in zip(problem.pairs, self._multipliers, strict=True)
         }
         self._writers = [
-            VTXWriter(f.function_space.mesh.comm, directory / f"{name}.bp", [f], engine="BP4")
+            together(
+                problem.comm,
+                partial(VTXWriter, f.function_space.mesh.comm, folder / f"{name}{later}.bp", [f], engine="BP4"),
+            )
             for name, f in fields.items()
         ]
 
     def write(self, time: float) -> None:
-        """Add the present state at `time` (a load or a time)."""
+        """Add the present state at `time` (a load or a time).
+
+        Raises:
+            RuntimeError: on every rank, if it cannot be written.
+        """
         for pair, field in zip(self.problem.pairs, self._multipliers, strict=True):
             field.x.array[:] = pair.multiplier.complete().x.array
         for writer in self._writers:
-            writer.write(time)
+            self._attempt(partial(writer.write, time))
 
     def close(self) -> None:
+        """Complete the files."""
         for writer in self._writers:
-            writer.close()
+            self._attempt(writer.close)
+
+    def _attempt(self, action: Callable[[], None]) -> None:
+        """An action of a writer; where it fails on some rank, an error on all."""
+        try:
+            together(self._comm, action)
+        except Exception:
+            # ADIOS2 would try to write again when a writer is collected, and end the process: these never are
+            for writer in self._writers:
+                ctypes.pythonapi.Py_IncRef(ctypes.py_object(writer._cpp_object))
+            raise
 
 
 class Run:
@@ -141,20 +232,33 @@ class Run:
         parameters: for the summary.
         paraview: whether to write .bp series.
         resume: go on with the history of an interrupted run, from this time (or load) in its first column.
+        checkpoint: save the steps at asked-for loads or times in the directory, and begin with the last one that an
+            interrupted run has saved there (`resume` is then its load or time).
+        motions: of a dynamic run, for the checkpoint.
+
+    Attributes:
+        start: load or time of the problem's state; ledger: of a dynamic run that goes on.
     """
 
     def __init__(
         self,
         problem: ContactProblem,
-        directory: Path,
+        directory: Path | str,
         columns: Sequence[str],
         parameters: Mapping[str, Any],
         paraview: bool = False,
         resume: float | None = None,
+        checkpoint: bool = False,
+        motions: Motion | Sequence[Motion] = (),
     ) -> None:
-        self.problem, self.directory, self.parameters = problem, directory, dict(parameters)
+        self._checkpoint = Checkpoint(directory, problem, motions) if checkpoint else None
+        saved = None if self._checkpoint is None else self._checkpoint.load()
+        if saved is not None:
+            resume = saved.at
+        self.start, self.ledger = resume or 0.0, None if saved is None else saved.ledger
+        self.problem, self.directory, self.parameters = problem, Path(directory), dict(parameters)
         self.history = History(problem, directory, columns, resume)
-        self._paraview = ParaView(problem, directory) if paraview else None
+        self._paraview = ParaView(problem, directory, resume) if paraview else None
         self._rejected = 0
 
     def record(self, step: Any, at: float, **row: float) -> None:
@@ -163,6 +267,8 @@ class Run:
         self._rejected += step.rejected
         if self._paraview is not None:
             self._paraview.write(at)
+        if self._checkpoint is not None and step.nominal:
+            self._checkpoint.save(at, getattr(step, "ledger", None))
 
     def finish(self, **parameters: Any) -> dict[str, Any]:
         """Close the files and write the summary, with further `parameters`; returns it."""
@@ -175,13 +281,13 @@ def probe(u: fem.Function, X: Sequence[float], cells: NDArray[np.int32] | None =
     """u at reference point X (m), on every rank; where bodies share the point, in one of `cells` (this rank's).
 
     Raises:
-        ValueError: on every rank, if X lies in no such cell.
+        ValueError: on every rank, if X is no point of the mesh's space or lies in no such cell.
     """
     from dolfinx import geometry
 
     mesh = u.function_space.mesh
     point = np.zeros((1, 3))
-    point[0, : len(X)] = X
+    point[0, : mesh.geometry.dim] = vector("X", X, mesh.geometry.dim)
     owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
     cells = owned if cells is None else np.intersect1d(cells, owned).astype(np.int32)
     value = None

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-__all__ = ["Piece", "floating_pieces"]
+__all__ = ["Piece", "floating_pieces", "pieces_of"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -29,24 +29,33 @@ class Piece:
     Attributes:
         centre: (gdim,) mean reference position of its nodes (m).
         nodes: numbers, local to this rank, of its nodes, ghosts included.
+        number: of the piece in the body.
     """
 
     centre: Array
     nodes: Index
+    number: int
 
     def __str__(self) -> str:
         return f"the body around X = {np.array2string(self.centre, precision=3)}"
 
 
-def floating_pieces(V: fem.FunctionSpace, prescribed: fem.Function, stiffness: PETSc.Mat) -> list[Piece]:
-    """The pieces of V's mesh that can move as a whole: neither `prescribed` (1 at prescribed components) nor `stiffness`,
-    such as an elastic foundation or inertia, holds them (collective)."""
-    comm, d = V.mesh.comm, V.mesh.geometry.dim
+def pieces_of(V: fem.FunctionSpace) -> tuple[Index, int]:
+    """(nodes,) the number of the piece of V's mesh that each node of this rank belongs to, ghosts included, and how many
+    pieces there are (collective)."""
     label = _labels(V)
+    known = np.array(sorted(set().union(*V.mesh.comm.allgather(set(map(int, label))))), dtype=np.int64)
+    return np.searchsorted(known, label), len(known)
+
+
+def floating_pieces(V: fem.FunctionSpace, label: Index, prescribed: fem.Function, stiffness: PETSc.Mat) -> list[Piece]:
+    """The pieces of V's mesh that can move as a whole: neither `prescribed` (1 at prescribed components) nor `stiffness`,
+    such as an elastic foundation or inertia, holds them (collective). `label`: as in :func:`pieces_of`."""
+    comm, d = V.mesh.comm, V.mesh.geometry.dim
     owned = V.dofmap.index_map.size_local
+    diagonal = stiffness.getDiagonal().array.reshape(-1, d)
     X = V.tabulate_dof_coordinates()[:owned, :d]
     held = prescribed.x.array[: owned * d].reshape(-1, d) > 0
-    scale = stiffness.getDiagonal().max()[1]
     pieces = []
     for number in sorted(set().union(*comm.allgather(set(map(int, label[:owned]))))):
         mine = label[:owned] == number
@@ -55,10 +64,11 @@ def floating_pieces(V: fem.FunctionSpace, prescribed: fem.Function, stiffness: P
         size = np.sqrt(comm.allreduce(float(np.sum((X[mine] - centre) ** 2)), MPI.SUM) / total[0])
         modes = _rigid_motions((X - centre) / max(size, 1e-300)) * mine[:, None, None]  # (nodes, d, modes)
         gram = comm.allreduce(modes[held].T @ modes[held], MPI.SUM) / total[0]
+        scale = comm.allreduce(float(np.abs(diagonal[mine]).max(initial=0.0)), MPI.MAX)
         share, combinations = np.linalg.eigh(gram)
-        free = (modes @ combinations[:, share < FREE]).reshape(owned * d, -1)
+        free = (modes @ combinations[:, share < FREE]).reshape(owned * d, int(np.sum(share < FREE)))
         if any(_energy(stiffness, mode) < FREE * scale * total[0] for mode in free.T):
-            pieces.append(Piece(centre, np.flatnonzero(label == number)))
+            pieces.append(Piece(centre, np.flatnonzero(label == number), number))
     return pieces
 
 
@@ -80,7 +90,7 @@ def _labels(V: fem.FunctionSpace) -> Index:
     i, j = np.repeat(cells[:, 0], cells.shape[1]), cells.ravel()
     count, local = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)
     field = fem.Function(V)
-    value = field.x.array.reshape(n, -1)  # the same in all components
+    value = field.x.array.reshape(n, V.dofmap.index_map_bs)  # the same in all components
     value[:] = index_map.local_to_global(np.arange(n, dtype=np.int32))[:, None]
     while True:
         largest = np.full(count, -1.0)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
+import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
@@ -22,13 +23,19 @@ from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.monitors import Finding, Monitor
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector, matrix_with_pattern
 from dolfinx_mortar_al.pieces import Piece
+from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.stopwatch import Stopwatch
+from dolfinx_mortar_al.surface import check_surfaces
+from dolfinx_mortar_al.validation import check_names, listed
 
 __all__ = ["ContactProblem", "Snapshot"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+
+LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
+UNSEEN = 1e-6  # share of round-off in a body's forces below which a load counts as none from the start
 
 #: All that a step may change, on this rank: arrays by the name of the member that owns them and their own.
 Snapshot = dict[str, dict[str, Array]]
@@ -58,7 +65,8 @@ class ContactProblem:
 
     Raises:
         ValueError: on every rank: an unsuitable displacement (:class:`~dolfinx_mortar_al.bodies.Bodies`) or surface
-            (:class:`~dolfinx_mortar_al.contact.Contact`), or a start state with det F ≤ 0.
+            (:class:`~dolfinx_mortar_al.contact.Contact`), pairs that are there twice or of one name, a start state with
+            det F ≤ 0 or a contactor wholly behind its target.
     """
 
     def __init__(
@@ -72,33 +80,78 @@ class ContactProblem:
         jacobian: Any = None,
     ) -> None:
         self.stopwatch = Stopwatch()
-        self.u, self.monitors = u, list(monitors)
+        contacts = listed("contacts", contacts, Contact, "a Contact")
+        self.u, self.monitors = u, listed("monitors", monitors, Monitor, "a Monitor")
         with self.stopwatch("forms"):
-            if isinstance(u, fem.Function):
-                self.bodies = Bodies([F], [u], bcs, None if jacobian is None else [jacobian])
-            else:
-                self.bodies = Bodies(F, u, bcs, jacobian)
+            residuals = list(F) if isinstance(F, list | tuple) else [F]
+            jacobians = [jacobian] if isinstance(jacobian, ufl.Form) else jacobian
+            self.bodies = Bodies(residuals, listed("u", u, fem.Function, "a Function"), bcs, jacobians)
         self.comm, self.gdim = self.bodies.comm, self.bodies.gdim
         if self.inverted_volume() > 0:
             raise ValueError(
                 "u: det F ≤ 0 somewhere in the start state; start from a displacement without inverted cells"
             )
         with self.stopwatch("contact set-up"):
-            self.pairs = [ContactPair(c, self.bodies, self.stopwatch) for c in contacts]
+            names = check_names([contact.name for contact in contacts])
+            check_surfaces(contacts)
+            self.pairs = [
+                ContactPair(contact, self.bodies, self.stopwatch, name)
+                for contact, name in zip(contacts, names, strict=True)
+            ]
+            agreed(self.comm, "contacts", [(pair.name, pair.μ, pair.contact.thickness) for pair in self.pairs])
         #: what a snapshot is made of, in the order in which it is restored
         self.members: dict[str, Member] = {"bodies": self.bodies}
         self.members |= {f"pair{k}": pair for k, pair in enumerate(self.pairs)}
+        self._touched = [self._pieces_of(pair) for pair in self.pairs]
         with self.stopwatch("bulk"):
             stiffness = self._create_matrices()
         for pair in self.pairs:
             pair.set_law(pair.surface_stiffness(stiffness))
             pair.start()
+        for pair in self.pairs:
+            pair.check_behind()
         diameter = self.bodies.diameter()
-        #: norm of the bulk's forces at the last evaluation, and a size below which forces do not matter (N)
-        self.force_scale, self.force_reference = 0.0, 0.0
-        largest = max(k.x.array.max(initial=0.0) for k in stiffness)
-        self.force_floor = self.comm.allreduce(2e-15 * largest * diameter, MPI.MAX)
+        #: (pieces,) norm of the bulk's forces at the last evaluation on each connected piece, and their round-off (N)
+        self.force_scale: Array = np.zeros(self.bodies.pieces)
+        self.force_floor = 2e-15 * self.bodies.stiffest(stiffness) * self.bodies.diameters()
+        #: size of forces that a step of bodies in motion resolves, on all pieces (N); None in statics
+        self.force_reference: float | None = None
         self.gap_floor = [2e-15 * diameter * pair.area for pair in self.pairs]
+
+    def _pieces_of(self, pair: ContactPair) -> NDArray[np.bool_]:
+        """(pieces,) which connected pieces a pair's forces act on (collective)."""
+        touched = np.zeros(self.bodies.pieces, dtype=np.int32)
+        for k, body in enumerate(self.bodies.bodies):
+            number = fem.Function(body.space)
+            number.x.array[:] = np.repeat(body.piece + self.bodies.first_piece[k], self.gdim)
+            touched[pair.nodal_values(number).astype(int).ravel()] = 1
+        self.comm.Allreduce(MPI.IN_PLACE, touched, MPI.MAX)
+        return np.asarray(touched > 0)
+
+    def residual_ratios(self, f: Sequence[PETSc.Vec], rtol: float, corrected: bool) -> list[float]:
+        """Norm of each block of the residual over that below which it counts as converged: forces against those on the same
+        connected piece of a body, of which the worst counts; gaps against pressure over stiffness (collective).
+
+        Forces below round-off count as none only where a whole Newton step has `corrected` the state: a load may be that
+        small beside the stiffness of the body it acts on, and be much for a softer one which that body presses. Nor may a
+        piece that nothing holds along an axis have a resultant there.
+        """
+        forces = [pair.nodal_forces() for pair in self.pairs]
+        moving, reference = self.force_reference is not None, self.force_reference or 0.0
+        scale = np.array(np.maximum(self.force_scale, reference))
+        for force, touched in zip(forces, self._touched, strict=True):
+            np.maximum(scale, force, out=scale, where=touched)
+        corrected |= moving
+        tolerance = np.maximum(rtol * scale, self.force_floor * (1.0 if corrected else UNSEEN))
+        worst = self.bodies.norms(f[0].array_r) / tolerance
+        if not moving:  # round-off is no force on a piece as a whole
+            seen = np.maximum(rtol * scale, self.force_floor * UNSEEN)
+            worst = np.maximum(worst, self.bodies.resultants(f[0].array_r) / seen)
+        ratios = [float(np.max(worst))]
+        for pair, force, floor, part in zip(self.pairs, forces, self.gap_floor, f[1:], strict=True):
+            gap = max(rtol * max(force, reference) / pair.stiffness, floor)
+            ratios.append(part.norm() / (pair.unit * gap))
+        return ratios
 
     def inverted_volume(self) -> float:
         """Reference volume where det F ≤ 0 or is not a number, at the bulk's Gauss points (collective)."""
@@ -121,6 +174,7 @@ class ContactProblem:
         self.tension, self._tension_matrix = 0.0, None
         #: springs on the pieces that contact alone holds, in the Jacobian only: (N/m) and the share of them in use
         self.springs, self.spring_share = self.bodies.springs(diagonals), 0.0
+        self._spring_shares = self.bodies.spring_shares(diagonals, self._touched)
         for k in range(1, n):
             for i, j in [(0, k), (k, 0), (k, k)]:
                 self.blocks[i][j] = empty_matrix(self._layouts[i], self._layouts[j])
@@ -258,9 +312,11 @@ class ContactProblem:
             self.matrix.assemble()
 
     def findings(self) -> list[Finding]:
-        """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse
-        (collective)."""
-        looks = [monitor.look() for monitor in self.monitors] + [pair.coarse_integration() for pair in self.pairs]
+        """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse or whose
+        surfaces are prescribed to overlap (collective)."""
+        looks = [monitor.look() for monitor in self.monitors]
+        for pair in self.pairs:
+            looks += [pair.coarse_integration(), pair.prescribed_overlap()]
         return [finding for finding in looks if finding is not None]
 
     def evaluate(self) -> None:
@@ -280,7 +336,17 @@ class ContactProblem:
         assert k is not None
         A.assemble()
         mine = np.arange(*A.getOwnershipRange(), dtype=np.int32)[:, None]
-        A.setValuesRCV(mine, mine, self.spring_share * k.array_r[:, None, None], _ADD)
+        share = np.maximum(self.spring_share * self._spring_shares, LEAST_SPRING)
+        A.setValuesRCV(mine, mine, (share * k.array_r)[:, None, None], _ADD)
+
+    def unheld(self) -> list[str]:
+        """The floating pieces, in words: those that a pair may hold, and those that nothing does (collective)."""
+        words = []
+        for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
+            for piece in body.floating:
+                held = any(touched[first + piece.number] for touched in self._touched)
+                words.append(f"{'contact alone' if held else 'nothing'} holds {piece}")
+        return words
 
     @property
     def floating(self) -> list[Piece]:

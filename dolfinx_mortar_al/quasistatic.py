@@ -12,9 +12,12 @@ from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al import validation
 from dolfinx_mortar_al.monitors import Finding, Reporter
 from dolfinx_mortar_al.newton import HOPELESS, Load, NewtonSolver, Path
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot
+from dolfinx_mortar_al.ranks import agreed
+from dolfinx_mortar_al.stepping import Event, LoadWatch
 
 __all__ = ["Step", "StepFailure", "follow", "march"]
 
@@ -78,22 +81,34 @@ def march(
         start: load of the problem's present state, default the constant's value, or 0 for a function.
         solver: default a new :class:`~dolfinx_mortar_al.newton.NewtonSolver`.
         smallest: increment, relative to the asked-for one, below which the march gives up.
-        until: an event of the converged state, the same on every rank, such as ``pair.reaches_end``. The march ends with
-            the first step where it holds, after closing in on it down to EVENT of an increment.
+        until: an event of the converged state, the same on every rank (an error if not), such as ``pair.reaches_end``. The
+            march ends with the first step where it holds, after closing in on it down to EVENT of an increment.
         progress: show a progress bar with load, iterations and contact state (rank 0, standard error).
 
     Raises:
-        ValueError: `increments` < 1, or `to` equals the present load.
+        ValueError: on every rank: `increments` < 1, `to` equals the present load, a `load` that is neither a scalar Constant
+            nor a function, or an argument or event that differs between ranks.
         StepFailure: on every rank.
     """
-    if increments < 1:
-        raise ValueError(f"increments = {increments}: at least one load increment is needed")
-    parameter = Load.of(load, start)
-    begin = parameter.value
-    if not np.isfinite(to) or to == begin:
+    increments = validation.whole("increments", increments, least=1)
+    smallest = validation.number("smallest", smallest, above=0.0, most=1.0)
+    parameter, event = Load.of(load, start), Event(problem.comm, until)
+    begin = validation.number("start", parameter.value)
+    to = validation.number("to", to, must=f"the load must move away from its present value {begin} to")
+    if to == begin:
         raise ValueError(f"to = {to}: the load must move away from its present value {begin}")
-    asked = (to - begin) / increments
+    agreed(problem.comm, "start, to, increments", (begin, to, increments))
     stepper = _Stepper(problem, parameter, solver, _Bar(problem, begin, to) if progress else None)
+    return _march(stepper, to, increments, smallest, event, LoadWatch(problem, load))
+
+
+def _march(
+    stepper: _Stepper, to: float, increments: int, smallest: float, event: Event, watch: LoadWatch
+) -> Iterator[Step]:
+    """The steps of :func:`march`, whose arguments have been checked."""
+    parameter = stepper.load
+    begin = parameter.value
+    asked = (to - begin) / increments
     stepper.past.add(begin)
     increment, number, closing_in = asked, 1, False
     while number <= increments:
@@ -101,12 +116,13 @@ def march(
         nominal = abs(current + increment - mark) < 1e-9 * abs(asked) or abs(increment) >= abs(mark - current)
         trial = mark if nominal else current + increment
         stepper.past.predict(trial)
-        parameter.value = trial
+        with watch:
+            parameter.value = trial
         if not stepper.solve():
             increment = stepper.cut * (trial - current)
             stepper.undo(current, hopeless=abs(increment) < smallest * abs(asked))
             continue
-        happened = until is not None and until()
+        happened = event()
         if happened and abs(trial - current) > EVENT * abs(asked):
             stepper.past.restore()
             increment, closing_in, parameter.value = (trial - current) / 2, True, current
@@ -117,6 +133,7 @@ def march(
         yield stepper.accept(trial, nominal)
         if happened:
             break
+    watch.report()
     stepper.close()
 
 
@@ -149,9 +166,12 @@ def follow(
         ValueError: `steps` < 1, or a first load or a length of zero.
         StepFailure: on every rank.
     """
-    if steps < 1 or not length > 0 or first == 0.0:
-        raise ValueError(f"steps = {steps}, length = {length}, first = {first}: need steps ≥ 1, length > 0, first ≠ 0")
-    parameter = Load.of(load, start)
+    steps, length = validation.whole("steps", steps, least=1), validation.number("length", length, above=0.0)
+    first, smallest = validation.number("first", first), validation.number("smallest", smallest, above=0.0, most=1.0)
+    if first == 0.0:
+        raise ValueError("first = 0: the path needs a first load increment, which gives it its direction")
+    parameter, event = Load.of(load, start), Event(problem.comm, until)
+    agreed(problem.comm, "first, length, steps", (first, length, steps))
     stepper = _Stepper(problem, parameter, solver, None)
     states = [(parameter.value, problem.bodies.get())]
     yield from march(
@@ -177,7 +197,7 @@ def follow(
         step_length = min(2 * step_length, length) if stepper.easy else step_length
         taken += 1
         yield stepper.accept(s[1], nominal=True)
-        if until is not None and until():
+        if event():
             break
 
 
@@ -192,6 +212,8 @@ class _Stepper:
 
     def __init__(self, problem: ContactProblem, load: Load, solver: NewtonSolver | None, bar: _Bar | None) -> None:
         self.problem, self.load, self.bar = problem, load, bar
+        if solver is not None and not isinstance(solver, NewtonSolver):
+            raise ValueError(f"solver: {type(solver).__name__} is not a NewtonSolver; leave it out for the default")
         self.solver = NewtonSolver(problem) if solver is None else solver
         self.past = _Past(problem)
         self.rejected = self.iterations = 0

@@ -23,6 +23,8 @@ FINER = (
     "the target is finer than the contactor's integration points, which miss some of its facets: the pressure is "
     "inaccurate; swap contactor and target, refine the contactor or raise quadrature_degree"
 )
+OVERLAP = "both surfaces are prescribed there and overlap: no contact force can part them; change the prescribed values"
+SHARE = 0.01  # of a target facet: overlaps below it are those of facets that do not match on curved surfaces
 AT_END = 0.1  # weight of the other nodes where a point counts as at the target's end
 
 
@@ -44,6 +46,7 @@ class PairResults:
     ε: Augmentation
     area: float
     _last_points: NDArray[np.bool_]
+    _prescribed_points: NDArray[np.bool_]
 
     @property
     def j(self) -> Array:
@@ -131,6 +134,16 @@ class PairResults:
             None
             if value >= 1.0
             else Finding(f"{self.name}: target facets per point's distance", value, X, FINER, False)
+        )
+
+    def prescribed_overlap(self) -> Finding | None:
+        """Where both surfaces are prescribed and overlap, so that no contact force can part them (collective)."""
+        g = np.where(self._prescribed_points & self.at.facing, self.at.g, -np.inf)
+        k = int(np.argmax(g)) if len(g) else -1
+        mine = (float(g[k]), tuple(self.points()[k].tolist())) if len(g) else (-np.inf, ())
+        value, X = max(self.comm.allgather(mine))
+        return (
+            Finding(f"{self.name}: overlap (m)", value, X, OVERLAP, True) if value > SHARE * self.target.size else None
         )
 
     def reaches_end(self) -> bool:

@@ -7,9 +7,10 @@ as (facets, points, …) whatever the cells were.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import basix
 import numpy as np
@@ -17,7 +18,12 @@ import ufl
 from dolfinx import fem, mesh
 from numpy.typing import NDArray
 
-__all__ = ["Facets", "GatheredFacets", "ShapeFunctions", "Surface", "surface_normal"]
+from dolfinx_mortar_al.validation import are_tags_of, vector, whole
+
+if TYPE_CHECKING:
+    from dolfinx_mortar_al.contact import Contact
+
+__all__ = ["Facets", "GatheredFacets", "ShapeFunctions", "Surface", "check_surfaces", "surface_normal"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -52,12 +58,19 @@ class Surface:
             ValueError: on every rank, if the tags are of another dimension, the surface is empty, a facet of it is not
                 on the boundary, or the side is missing (membrane) or too much (body).
         """
+        if not isinstance(self.mesh, mesh.Mesh) or not isinstance(self.tags, mesh.MeshTags):
+            raise ValueError(
+                f"Surface: takes a mesh, MeshTags and a tag, not {type(self.mesh).__name__} and {type(self.tags).__name__}"
+            )
+        whole("tag", self.tag, least=-(2**31), most=2**31 - 1)
         dim, kind = self.mesh.geometry.dim - 1, "cells" if self.is_membrane else "facets"
         if self.tags.dim != dim:
             raise ValueError(
                 f"tags of dimension {self.tags.dim} for a contact surface in space of dimension {dim + 1}: "
                 f"it is made of {kind}, pass mesh tags of dimension {dim}"
             )
+        if not are_tags_of(self.tags, self.mesh):
+            raise ValueError(f"tags of tag {self.tag} are of another mesh: pass those made with the surface's mesh")
         if self.is_membrane == (self.side is None):
             raise ValueError(
                 f"side = {self.side} of tag {self.tag}: "
@@ -67,7 +80,7 @@ class Surface:
                     else "facets have their outward side"
                 )
             )
-        facets = self.tags.find(self.tag)
+        facets = self.tags.find(int(self.tag))
         facets = facets[facets < self.mesh.topology.index_map(dim).size_local]
         comm = self.mesh.comm
         if comm.allreduce(len(facets)) == 0:
@@ -75,8 +88,8 @@ class Surface:
             raise ValueError(f"tag {self.tag} marks no {kind[:-1]}; the tags of this mesh are {known}")
         if not self.is_membrane:
             self.mesh.topology.create_connectivity(dim, dim + 1)
-            cells = self.mesh.topology.connectivity(dim, dim + 1)
-            inner = int(np.sum(np.diff(cells.offsets)[facets] != 1))
+            # a facet with one cell on this rank may have another on the next
+            inner = int(np.sum(~np.isin(facets, mesh.exterior_facet_indices(self.mesh.topology))))
             if comm.allreduce(inner):
                 raise ValueError(
                     f"tag {self.tag} marks facets between two cells; a contact surface lies on the boundary"
@@ -190,8 +203,11 @@ class Facets:
         else:
             outward = X.mean(axis=1) - x[V.dofmap.list[cells]].mean(axis=1)
         normal = surface_normal(tangents)
+        areas = _areas(shape, X)
+        if surface.mesh.comm.allreduce(int(np.sum(~(areas > 1e-10 * np.max(areas, initial=0.0))))):
+            raise ValueError(f"tag {surface.tag} marks facets without area: mesh the surface again")
         cosine = np.einsum("fi,fi->f", normal, outward)
-        flat = np.abs(cosine) < 1e-6 * np.linalg.norm(normal, axis=1) * np.linalg.norm(outward, axis=1)
+        flat = np.abs(cosine) <= 1e-6 * np.linalg.norm(normal, axis=1) * np.linalg.norm(outward, axis=1)
         if surface.mesh.comm.allreduce(int(flat.sum())):
             raise ValueError(f"side = {surface.side} lies in the plane of the membrane of tag {surface.tag} somewhere")
         return cls(V, entities, shape, dofs, X, np.sign(cosine))
@@ -233,9 +249,7 @@ def _side_at_middle(surface: Surface, cells: NDArray[np.int32]) -> Array:
     """(nf, gdim) the membrane's side at the middle of its cells."""
     gdim = surface.mesh.geometry.dim
     if not isinstance(surface.side, ufl.core.expr.Expr):
-        side = np.asarray(surface.side, dtype=np.float64)
-        if side.shape != (gdim,):
-            raise ValueError(f"side = {surface.side}: needs {gdim} components")
+        side = vector("side", surface.side, gdim)
         return np.broadcast_to(side, (len(cells), gdim))
     middle = basix.geometry(surface.mesh.basix_cell()).mean(axis=0)[None]
     values = fem.Expression(surface.side, middle, comm=surface.mesh.comm).eval(surface.mesh, cells)
@@ -313,6 +327,52 @@ class GatheredFacets:
 
     def areas(self) -> Array:
         """(nf,) reference areas (m², or m in two dimensions)."""
-        points, weights = self.shape.quadrature(2 * self.shape.order)
-        a = np.einsum("qak,fki->fqai", self.shape.tabulate(points, 1)[1], self.X[self.facets])
-        return np.linalg.norm(surface_normal(a), axis=2) @ weights
+        return _areas(self.shape, self.X[self.facets])
+
+
+def _areas(shape: ShapeFunctions, X: Array) -> Array:
+    """(nf,) areas of facets with nodes X (nf, nodes, gdim)."""
+    points, weights = shape.quadrature(2 * shape.order)
+    a = np.einsum("qak,fki->fqai", shape.tabulate(points, 1)[1], X)
+    return np.asarray(np.linalg.norm(surface_normal(a), axis=2) @ weights)
+
+
+def check_surfaces(contacts: Sequence[Contact]) -> None:
+    """No facet may be contactor and target of itself, nor in contact with another twice, in one direction or both: the
+    multipliers of such a pair are not unique (collective).
+
+    Raises:
+        ValueError: on every rank.
+    """
+    own = [(c.contactor.owned_facets(), _owned(c.target)) for c in contacts]
+
+    def share(a: Surface, b: Any, of_a: Any, of_b: Any) -> bool:
+        if not isinstance(b, Surface):
+            return False
+        return a.mesh is b.mesh and a.mesh.comm.allreduce(len(np.intersect1d(of_a, of_b))) > 0
+
+    for i, (first, (contactor, target)) in enumerate(zip(contacts, own, strict=True)):
+        a, b = first.contactor, first.target
+        if share(a, b, contactor, target):
+            raise ValueError(
+                f"contactor (tag {a.tag}) and target ({first.target_name}) have facets in common: a pair needs two surfaces"
+            )
+        for second, (contactor2, target2) in zip(contacts[:i], own, strict=False):
+            c, d = second.contactor, second.target
+            same_target = (
+                b is d if not isinstance(d, Surface) else isinstance(b, Surface) and share(d, b, target2, target)
+            )
+            if share(a, c, contactor, contactor2) and same_target:
+                raise ValueError(
+                    f"contacts: the pair of contactor tag {a.tag} and target {first.target_name} is there twice, at least in "
+                    "part: drop one"
+                )
+            if isinstance(b, Surface) and share(a, d, contactor, target2) and share(b, c, target, contactor2):
+                raise ValueError(
+                    f"contacts: the surfaces of tags {a.tag} and {b.tag} are paired in both directions: drop one of the two; "
+                    "either side can be the contactor"
+                )
+
+
+def _owned(target: Any) -> Any:
+    return target.owned_facets() if isinstance(target, Surface) else None

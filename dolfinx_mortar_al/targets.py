@@ -124,6 +124,10 @@ class DeformableTarget(Target):
         self._scatter.scatter(u.x.petsc_vec, self._vec)
         return np.asarray(self._vec.array_r.reshape(-1, self._gdim).copy())
 
+    def is_of(self, u: fem.Function) -> bool:
+        """Whether u is a Function of the target's body."""
+        return u.function_space is self._body.space
+
     def refresh(self) -> None:
         self._nodes = self.surface.X + self.at_nodes(self._body.u)
 

@@ -13,6 +13,8 @@ from dolfinx import mesh
 from dolfinx.io import gmshio
 from mpi4py import MPI
 
+from dolfinx_mortar_al.ranks import on_root
+
 __all__ = ["distribute", "main", "structured_box"]
 
 
@@ -31,11 +33,12 @@ def _session() -> Iterator[Any]:
 
 def distribute(build: Callable[[Any], None], comm: MPI.Comm, gdim: int) -> tuple[mesh.Mesh, Any, Any]:
     """The mesh that `build(gmsh)` makes on rank 0, spread over `comm`: (mesh, cell tags, facet tags)."""
-    if comm.rank == 0:
-        with _session() as gmsh:
-            build(gmsh)
-            return gmshio.model_to_mesh(gmsh.model, comm, 0, gdim)
-    return gmshio.model_to_mesh(None, comm, 0, gdim)
+    if comm.rank > 0:
+        on_root(comm, lambda: None)
+        return gmshio.model_to_mesh(None, comm, 0, gdim)
+    with _session() as gmsh:
+        on_root(comm, lambda: build(gmsh))
+        return gmshio.model_to_mesh(gmsh.model, comm, 0, gdim)
 
 
 def structured_box(

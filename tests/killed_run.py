@@ -1,6 +1,17 @@
-"""A run to be killed and resumed: an impact with friction, or a quasi-static march; python3 killed_run.py DIR KIND."""
+"""A run to be interrupted and resumed: an impact with friction, or a quasi-static march.
 
+    python3 killed_run.py DIR impact|bending [--steps N] [--fault KIND --after SECONDS --rank RANK]
+
+A fault strikes one rank some time after it has begun: an exception anywhere in Python, in the load's callback or in writing a
+file, or SIGKILL.
+"""
+
+import argparse
+import errno
+import os
+import signal
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +35,7 @@ from dolfinx_mortar_al import (
 from meshes.disc import RIM, Disc
 
 
-def impact(directory):
+def impact(directory, steps, faults):
     mesh, _, tags = Disc(size=0.04, order=1).create()
     u = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (2,))))
     motion = dynamics.Motion(u, materials.neo_hookean(1.333e6, 0.333), density=6000, step=1e-3, thickness=0.02)
@@ -49,23 +60,69 @@ def impact(directory):
             checkpoint.save(step.time, step.ledger)
 
 
-def bending(directory):
-    problem, P = beams(friction=0.3)
+FAULT = "thrown in for a test"
+
+
+class Faults:
+    """What is to go wrong, and when."""
+
+    def __init__(self, args):
+        self.kind, self.when = args.fault, time.monotonic() + args.after
+        if self.kind is None or MPI.COMM_WORLD.rank != args.rank:
+            self.when = np.inf
+        elif self.kind in ("anywhere", "kill"):
+            signal.signal(signal.SIGALRM, self._strike)
+            signal.setitimer(signal.ITIMER_REAL, max(args.after, 1e-3))
+        elif self.kind == "write":
+            self._open, Path.open = Path.open, lambda path, *mode, **options: self._write(path, *mode, **options)
+
+    def _strike(self, *_):
+        if self.kind == "kill":
+            os.kill(os.getpid(), signal.SIGKILL)
+        raise RuntimeError(FAULT)
+
+    def _write(self, path, mode="r", **options):
+        if mode != "r" and time.monotonic() > self.when:
+            raise OSError(errno.ENOSPC, FAULT)
+        return self._open(path, mode, **options)
+
+    def callback(self):
+        """To be called by a callback."""
+        if self.kind == "callback" and time.monotonic() > self.when:
+            raise RuntimeError(FAULT)
+
+
+def bending(directory, steps, faults):
+    problem, P = beams(order=1 if steps > 40 else 2, friction=0.3)
+
+    def load(value):
+        faults.callback()
+        P.value = value
+
     checkpoint = Checkpoint(directory, problem)
     saved = checkpoint.load()
     start = saved.at if saved else 0.0
     run = output.Run(
         problem, directory, ["load", "force", "closed", "newton_iterations", "wall_time"], {}, resume=start
     )
-    left = round((20.0 - start) / 0.5)
+    left = round((20.0 - start) / 20.0 * steps)
     if left:
-        for step in quasistatic.march(problem, P, to=20.0, increments=left, start=start):
+        for step in quasistatic.march(problem, load, to=20.0, increments=left, start=start):
             pair = problem.pairs[0]
             run.record(step, step.load, load=step.load, force=pair.force()[1], closed=pair.closed_fraction())
-            checkpoint.save(step.load)
+            if step.nominal:
+                checkpoint.save(step.load)
 
 
 if __name__ == "__main__":
-    {"impact": impact, "bending": bending}[sys.argv[2]](Path(sys.argv[1]))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("directory", type=Path)
+    parser.add_argument("kind", choices=("impact", "bending"))
+    parser.add_argument("--steps", type=int, default=40)
+    parser.add_argument("--fault", choices=("anywhere", "callback", "write", "kill"))
+    parser.add_argument("--after", type=float, default=0.0)
+    parser.add_argument("--rank", type=int, default=0)
+    args = parser.parse_args()
+    {"impact": impact, "bending": bending}[args.kind](args.directory, args.steps, Faults(args))
     if MPI.COMM_WORLD.rank == 0:
         print("finished")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from killed_run import FAULT
 from mpi4py import MPI
 from scenes import beams
 
@@ -41,28 +42,63 @@ def kill_all(word):
         time.sleep(0.02)
 
 
+def history(directory):
+    """history.csv of the run in a directory; a demo with several cases has a folder for each."""
+    return next(directory.glob("**/history.csv"), directory / "history.csv")
+
+
 def lines(directory):
-    path = directory / "history.csv"
+    path = history(directory)
     return path.read_text().count("\n") if path.exists() else 0
 
 
 def rows(directory):
-    return np.genfromtxt(directory / "history.csv", delimiter=",", names=True)
+    return np.genfromtxt(history(directory), delimiter=",", names=True)
+
+
+DEMOS = {
+    "two_beams": ["--cells", "10", "1", "--increments", "12", "--friction", "0.3"],
+    "two_membranes": ["--cells", "12", "12", "--increments", "12", "--friction", "0"],
+    "two_bars": ["--cells", "6"],
+    "spinning_disc": ["--size", "0.04", "--spin", "slice"],
+}
+
+
+def command(kind, ranks, directory):
+    """The run `kind`: of killed_run.py, or a demo."""
+    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
+    if kind not in DEMOS:
+        return [*launcher, sys.executable, SCRIPT, str(directory), kind]
+    script = Path(__file__).parents[1] / "demos" / f"{kind}.py"
+    options = ["--no-figure", "--checkpoint", "--output", str(directory)]
+    return [*launcher, sys.executable, str(script), *DEMOS[kind], *options]
+
+
+def assert_same_history(cut, whole, share):
+    """Every number but times and iterations, to a share of the column's largest; what is below 1e-6 of the largest number at
+    all, such as the defect of an energy balance that is met, counts as that much."""
+    cut, whole = rows(cut), rows(whole)
+    assert len(whole) == len(cut)
+    largest = max(np.abs(whole[name]).max() for name in whole.dtype.names)
+    for name in whole.dtype.names:
+        if name not in ("wall_time", "newton_iterations"):
+            size = max(np.abs(whole[name]).max(), 1e-6 * largest)
+            assert np.allclose(cut[name], whole[name], rtol=0, atol=share * size), name
 
 
 @pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own ranks")
-@pytest.mark.parametrize("kind, ranks", [("impact", 1), ("impact", 2), ("bending", 1)])
-def test_killed_at_random_times_and_resumed(tmp_path, kind, ranks):
-    """SIGKILL at four random moments, the first during start-up, then to the end; every number but times to 1e-9 (impact;
-    what round-off of another order of assembly leaves after a few dozen steps). The slip histories and the contact states
-    resume exactly; the predictor of a quasi-static march does not, which Newton's tolerance allows 1e-7."""
-    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
-    command = [*launcher, sys.executable, SCRIPT]
-    subprocess.run([*command, str(tmp_path / "whole"), kind], check=True, capture_output=True, timeout=300)
+@pytest.mark.parametrize(
+    "kind, ranks, kills", [("impact", 1, 3), ("impact", 2, 3), ("bending", 1, 3), *((demo, 1, 2) for demo in DEMOS)]
+)
+def test_killed_at_random_times_and_resumed(tmp_path, kind, ranks, kills):
+    """SIGKILL at random moments, the first during start-up, then to the end; every number but times to 1e-9 (dynamics; what
+    round-off of another order of assembly leaves after a few dozen steps). The slip histories and the contact states resume
+    exactly; the predictor of a quasi-static march does not, which Newton's tolerance allows 1e-7."""
+    subprocess.run(command(kind, ranks, tmp_path / "whole"), check=True, capture_output=True, timeout=300)
     rng, killed = np.random.default_rng(ranks + len(kind)), 0
-    for kill_after in [0, *rng.integers(3, 15, size=3), 10_000]:
+    for kill_after in [0, *rng.integers(2, 5 if kind in DEMOS else 15, size=kills), 10_000]:
         run = subprocess.Popen(
-            [*command, str(tmp_path / "cut"), kind], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            command(kind, ranks, tmp_path / "cut"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         wanted = lines(tmp_path / "cut") + kill_after
         while run.poll() is None and lines(tmp_path / "cut") < wanted:
@@ -74,13 +110,60 @@ def test_killed_at_random_times_and_resumed(tmp_path, kind, ranks):
             killed += 1
         run.wait()
     assert run.returncode == 0
-    assert killed >= 3
-    whole, cut = rows(tmp_path / "whole"), rows(tmp_path / "cut")
-    assert len(whole) == len(cut)
-    for name in whole.dtype.names:
-        if name not in ("wall_time", "newton_iterations"):
-            size = np.abs(whole[name]).max()
-            assert np.allclose(cut[name], whole[name], rtol=0, atol=(1e-9 if kind == "impact" else 1e-7) * size), name
+    assert killed >= kills
+    statics = kind in ("bending", "two_beams", "two_membranes")
+    assert_same_history(tmp_path / "cut", tmp_path / "whole", 1e-7 if statics else 1e-9)
+
+
+def run_with_faults(directory, steps, seed, after, most):
+    """The quasi-static run on two ranks until it is through, with at most `most` faults on a random rank at random moments up
+    to `after` s after its start; returns the kinds of those that struck. Each ends the job with one message, or none of its
+    own where a rank is killed, within the seconds that are left of 60."""
+    rng, struck = np.random.default_rng(seed), []
+    while True:
+        kind = str(rng.choice(["anywhere", "callback", "write", "kill"]))
+        fault = ["--fault", kind, "--after", str(rng.uniform(0.0, after)), "--rank", str(rng.integers(2))]
+        call = [*command("bending", 2, directory), "--steps", str(steps), *(fault if len(struck) < most else [])]
+        run = subprocess.run(call, capture_output=True, text=True, timeout=after + 60, check=False)
+        if run.returncode == 0:
+            return struck
+        if kind != "kill":
+            assert run.stderr.count(f"Error: {FAULT}") + run.stderr.count(f"] {FAULT}") == 1, run.stderr
+        struck.append(kind)
+
+
+@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own ranks")
+def test_faults_on_one_rank_end_the_job_and_lose_nothing(tmp_path):
+    """Exceptions, full disks and kills on one rank of two: the numbers of an undisturbed run (to 1e-7, the predictor)."""
+    subprocess.run(command("bending", 2, tmp_path / "whole"), check=True, capture_output=True, timeout=300)
+    assert len(run_with_faults(tmp_path / "cut", steps=40, seed=1, after=3.0, most=4)) >= 3
+    assert_same_history(tmp_path / "cut", tmp_path / "whole", 1e-7)
+
+
+def test_a_damaged_checkpoint_is_replaced_by_the_one_before(shared_path):
+    problem, P = beams(order=1)
+    keeper = Checkpoint(shared_path, problem)
+    for at in (1.0, 2.0, 3.0):
+        P.value = at
+        keeper.save(at)
+    MPI.COMM_WORLD.Barrier()
+    last = shared_path / f"checkpoint_1_{MPI.COMM_WORLD.size - 1}.npz"
+    if MPI.COMM_WORLD.rank == 0:
+        last.write_bytes(last.read_bytes()[:-200])
+    MPI.COMM_WORLD.Barrier()
+    warned = pytest.warns(UserWarning, match="at 2") if problem.comm.rank == 0 else contextlib.nullcontext()
+    with warned:
+        assert Checkpoint(shared_path, problem).load().at == 2.0
+
+
+@pytest.mark.parametrize("other, words", [({"friction": 0.4}, "friction of pair contact: 0.3 then, 0.4 now"),
+                                          ({"young": 3e6}, "another form"), ({"unit": 2.0}, "another geometry")])  # fmt: skip
+def test_a_checkpoint_says_in_what_a_problem_differs(shared_path, other, words):
+    problem, _ = beams(order=1, friction=0.3)
+    Checkpoint(shared_path, problem).save(0.0)
+    changed, _ = beams(order=1, **{"friction": 0.3} | other)
+    with pytest.raises(ValueError, match=words):
+        Checkpoint(shared_path, changed).load()
 
 
 def test_another_problem_is_refused(shared_path):

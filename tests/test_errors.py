@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from contextlib import nullcontext as nothing
 from pathlib import Path
 
 import basix.ufl
@@ -12,7 +13,20 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 from scenes import beams, tip
 
-from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, materials, output, quasistatic, read_msh
+from dolfinx_mortar_al import (
+    Checkpoint,
+    Contact,
+    ContactProblem,
+    NewtonSolver,
+    Surface,
+    materials,
+    membrane,
+    monitors,
+    obstacles,
+    output,
+    quasistatic,
+    read_msh,
+)
 from meshes.two_beams import LOWER_TOP, UPPER_BOTTOM, TwoBeams
 
 
@@ -177,6 +191,175 @@ def test_what_had_converged_stays_on_disk(shared_path):
     assert on_disk["load"].tolist() == [1.0, 2.0]
     assert on_disk["tip"].tolist() == history.column("tip").tolist()
     assert tip(problem)[1] == on_disk["tip"][-1]  # and the problem is back in the state it had then
+
+
+def gmsh_file(path, build):
+    """Two unit squares, as `build` groups and meshes them, written to a file by rank 0."""
+    if MPI.COMM_WORLD.rank == 0:
+        import gmsh
+
+        gmsh.initialize(interruptible=False)
+        gmsh.option.setNumber("General.Verbosity", 1)
+        a, b = gmsh.model.occ.addRectangle(0, 0, 0, 1, 1), gmsh.model.occ.addRectangle(2, 0, 0, 1, 1)
+        gmsh.model.occ.synchronize()
+        build(gmsh, a, b, gmsh.model.addPhysicalGroup)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
+        gmsh.model.mesh.generate(2)
+        gmsh.option.setNumber("Mesh.SaveAll", path.stem == "only_facets")
+        if path.stem == "partitioned":
+            gmsh.model.mesh.partition(2)
+        gmsh.write(str(path))
+        gmsh.finalize()
+        if path.stem == "truncated":
+            path.write_text(path.read_text()[: path.stat().st_size // 2])
+    MPI.COMM_WORLD.Barrier()
+    return path
+
+
+MSH = {
+    "mixed": (lambda g, a, b, group: (group(2, [a, b], 1), g.model.mesh.setRecombine(2, b)), "cells of several types"),
+    "no_body": (lambda g, a, b, group: (group(2, [a], 1), group(1, [1, 5], 11)), "facets of no cell"),
+    "cell_twice": (
+        lambda g, a, b, group: (group(2, [a], 1), group(2, [a, b], 2)),
+        r"several physical groups.*\[1, 2\]",
+    ),
+    "facet_twice": (
+        lambda g, a, b, group: (group(2, [a, b], 1), group(1, [1], 11), group(1, [1, 2], 12)),
+        "facets in sev",
+    ),
+    "only_facets": (lambda g, a, b, group: group(1, [1], 11), "but not of cells"),
+    "partitioned": (lambda g, a, b, group: group(2, [a, b], 1), "partitioned; save it as one piece"),
+    "truncated": (lambda g, a, b, group: group(2, [a, b], 1), "gmsh cannot read it"),
+}
+
+
+@pytest.mark.parametrize("kind", MSH)
+def test_mesh_files_that_dolfinx_would_not_survive(shared_path, kind):
+    build, message = MSH[kind]
+    path = gmsh_file(shared_path / f"{kind}.msh", build)
+    with pytest.raises(ValueError, match=message):
+        read_msh(path)
+
+
+def test_pairs_that_are_there_twice(domain):
+    a = pair(domain)
+    with pytest.raises(ValueError, match="is there twice"):
+        problem_with(domain, [a, pair(domain)])
+    with pytest.raises(ValueError, match="in both directions"):
+        problem_with(domain, [a, pair(domain, LOWER_TOP, UPPER_BOTTOM)])
+    with pytest.raises(ValueError, match="name = 'x' of several contacts"):
+        problem_with(domain, [pair(domain, name="x"), pair(domain, name="x")])
+
+
+def problem_with(domain, contacts, u=None):
+    V = fem.functionspace(domain[0], ("Lagrange", 1, (2,)))
+    u = fem.Function(V)
+    return ContactProblem(materials.neo_hookean(1e6, 0.3).virtual_work(u), u, contacts=contacts)
+
+
+def test_tags_of_another_mesh(domain):
+    other = TwoBeams(along=(4, 5), across=1).create()
+    contact = Contact(Surface(domain[0], other[2], UPPER_BOTTOM), Surface(domain[0], domain[2], LOWER_TOP))
+    with pytest.raises(ValueError, match="tags of tag 13 are of another mesh"):
+        problem_with(domain, [contact])
+
+
+def test_a_body_wholly_behind_its_target(domain):
+    """The upper beam lies behind a plane through its top that faces upwards."""
+    contact = Contact(Surface(domain[0], domain[2], UPPER_BOTTOM), obstacles.RigidPlane([0, 0.05], [0, 1]))
+    with pytest.raises(ValueError, match=r"faces away|whole body behind"):
+        problem_with(domain, [contact])
+
+
+def test_laws_and_forms_of_the_wrong_kind(domain):
+    V = fem.functionspace(domain[0], ("Lagrange", 1, (2,)))
+    u, other = fem.Function(V), fem.Function(V)
+    with pytest.raises(ValueError, match="is for a membrane"):
+        membrane.neo_hookean_membrane(1e6, 0.3, 1e-3).virtual_work(u)
+    with pytest.raises(ValueError, match="F does not depend on u"):
+        ContactProblem(materials.neo_hookean(1e6, 0.3).virtual_work(other), u)
+    with pytest.raises(ValueError, match="F: int is not a UFL form"):
+        ContactProblem(0, u)
+    dx = ufl.Measure("dx", domain[0], subdomain_data=domain[1])
+    law = materials.neo_hookean(1e6, 0.3)
+    with pytest.raises(ValueError, match="different subdomain_data"):
+        ContactProblem(law.virtual_work(u) + law.virtual_work(u, dx=dx(1)), u)
+
+
+def test_loads_that_are_no_parameter():
+    problem, _ = beams(order=1)
+    domain = problem.u.function_space.mesh
+    for load, words in [
+        (problem.u, "load: Function"),
+        (fem.Constant(domain, (0.0, 1.0)), "shape"),
+        (lambda: 1, "one argument"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            quasistatic.march(problem, load, to=1.0, increments=1)
+    warned = (
+        pytest.warns(monitors.ModelWarning, match="setting it changes neither") if problem.comm.rank == 0 else nothing()
+    )
+    with warned:
+        list(quasistatic.march(problem, fem.Constant(domain, 0.0), to=1.0, increments=1))
+
+
+def test_friction_may_be_a_constant_that_changes():
+    """What a number gives at first, and no friction as soon as the Constant is 0."""
+    mu = fem.Constant(beams(order=1)[0].u.function_space.mesh, 0.4)
+    changing, P = beams(order=1, friction=mu)
+    fixed, Q = beams(order=1, friction=0.4)
+    list(quasistatic.march(changing, P, to=2.0, increments=2))
+    list(quasistatic.march(fixed, Q, to=2.0, increments=2))
+    assert np.allclose(tip(changing), tip(fixed), rtol=1e-9)
+    mu.value = 0.0
+    list(quasistatic.march(changing, P, to=4.0, increments=2))
+    pair = changing.pairs[0]
+    assert abs(pair.force() @ [1.0, 0.0]) < 0.2 * abs(pair.force()[1])  # what is left of it is the tilt of the normals
+    assert pair.stick_fraction() == 0.0
+
+
+def test_values_that_differ_between_ranks():
+    problem, P = beams(order=1)
+    several = MPI.COMM_WORLD.size > 1
+    with pytest.raises(ValueError, match=r"on rank 0, .* on rank 1") if several else nothing():
+        list(quasistatic.march(problem, P, to=1.0 + problem.comm.rank, increments=1))
+    with pytest.raises(ValueError, match=r"until\(\): ") if several else nothing():
+        list(quasistatic.march(problem, P, to=3.0, increments=1, until=lambda: problem.comm.rank == 1))
+
+
+@pytest.mark.parametrize("up", [1.0, -1.0])
+def test_a_history_resumed(shared_path, up):
+    problem, _ = beams(order=1)
+    history = output.History(problem, str(shared_path), ["load", "x"])
+    for k in (1, 2, 3, 4):
+        history.add(load=up * k, x=0.0)
+    assert output.History(problem, shared_path, ["load", "x"], resume=up * 2).column("load").tolist() == [up, 2 * up]
+    with pytest.raises(ValueError, match="has the columns"):
+        output.History(problem, shared_path, ["load", "y"], resume=1.0)
+    with pytest.raises(ValueError, match="x = None: a row has one number"):
+        history.add(load=1.0, x=None)
+
+
+def test_a_folder_that_cannot_be_made(shared_path):
+    problem, _ = beams(order=1)
+    if problem.comm.rank == 0:
+        (shared_path / "file").write_text("not a folder")
+    problem.comm.Barrier()
+    for make in (lambda f: output.History(problem, f, ["load"]), lambda f: Checkpoint(f, problem)):
+        with pytest.raises(OSError, match="file"):
+            make(shared_path / "file")
+
+
+@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own ranks")
+def test_an_exception_on_one_rank_ends_the_job():
+    """The other rank waits in a collective call; the traceback is printed once, within seconds."""
+    script = "import dolfinx_mortar_al\nfrom mpi4py import MPI\nc = MPI.COMM_WORLD\n1 / c.rank\nc.Barrier()"
+    run = subprocess.run(
+        ["mpirun", "-n", "2", sys.executable, "-c", script], capture_output=True, text=True, timeout=60
+    )
+    assert run.returncode != 0
+    assert run.stderr.count("ZeroDivisionError: division by zero") == 1
+    assert "rank 0 of 2 failed while others went on" in run.stderr
 
 
 @pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own ranks")

@@ -1,0 +1,308 @@
+"""What a user passes, checked once, where it enters: numbers, lists, forms, meshes, motions (``docs/errors.md``).
+
+Every message names the argument and its value and says what to pass instead. Values that are the same on all ranks are judged
+alike on all ranks; what a rank sees of a mesh is reduced over them before anyone raises.
+"""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import basix
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from numpy.typing import NDArray
+
+__all__ = [
+    "are_tags_of",
+    "check_callable",
+    "check_cells",
+    "check_external",
+    "check_kinetic",
+    "check_law",
+    "check_motions",
+    "check_names",
+    "check_residual",
+    "constant_value",
+    "listed",
+    "number",
+    "positive_or_ufl",
+    "vector",
+    "whole",
+]
+
+Item = TypeVar("Item")
+
+
+def number(
+    name: str,
+    value: Any,
+    *,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    below: float = math.inf,
+    most: float = math.inf,
+    must: str = "must be",
+) -> float:
+    """A finite number with above < value < below and least ≤ value ≤ most.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    bounds = [f"> {above:g}"] * (above > -math.inf) + [f"≥ {least:g}"] * (least > -math.inf)
+    bounds += [f"< {below:g}"] * (below < math.inf) + [f"≤ {most:g}"] * (most < math.inf)
+    wanted = f"{must} a number {' and '.join(bounds)}".rstrip()
+    try:
+        result = math.nan if isinstance(value, str | bytes | bool | np.bool_) else float(value)
+    except (TypeError, ValueError):
+        result = math.nan
+    if not (math.isfinite(result) and above < result < below and least <= result <= most):
+        raise ValueError(f"{name} = {value!r}: {wanted}" if isinstance(value, str) else f"{name} = {value}: {wanted}")
+    return result
+
+
+def whole(name: str, value: Any, *, least: int, most: int | None = None) -> int:
+    """An integer from `least` to `most`; 3.0 counts as 3.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    span = f"≥ {least}" if most is None else f"in {least} … {most}"
+    try:
+        result = number(name, value, least=least, most=math.inf if most is None else most)
+    except ValueError:
+        result = math.nan
+    if result != np.floor(result):
+        said = f"{value!r}" if isinstance(value, str) else f"{value}"
+        raise ValueError(f"{name} = {said}: must be a whole number {span}")
+    return int(result)
+
+
+def vector(name: str, value: Any, components: int) -> NDArray[np.float64]:
+    """`components` finite numbers.
+
+    Raises:
+        ValueError: if it is something else.
+    """
+    try:
+        result = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        result = np.zeros(0)
+    if result.shape != (components,) or not np.isfinite(result).all():
+        raise ValueError(f"{name} = {value}: needs {components} components, finite numbers")
+    return result
+
+
+def constant_value(value: Any) -> Any:
+    """The number in a scalar UFL Constant; anything else as it is."""
+    return float(value.value) if isinstance(value, fem.Constant) and value.value.shape == () else value
+
+
+def positive_or_ufl(name: str, value: Any) -> Any:
+    """A positive number, or UFL to be taken as it is.
+
+    Raises:
+        ValueError: if it is neither, or a Constant that is not positive.
+    """
+    said = constant_value(value)
+    if isinstance(said, ufl.core.expr.Expr):
+        return value
+    checked = number(name, said, above=0.0)
+    return checked if said is value else value
+
+
+def listed(name: str, value: Any, kind: type[Item], article: str) -> list[Item]:
+    """A list of `kind` from one of them, several, or None.
+
+    Raises:
+        ValueError: if something else is among them; `article` is what to call one.
+    """
+    if value is None:
+        return []
+    items = [value] if isinstance(value, kind) else list(value) if isinstance(value, Sequence) else [value]
+    for item in items:
+        if not isinstance(item, kind):
+            raise ValueError(f"{name}: {item!r} is not {article}; pass one or a list of them")
+    return items
+
+
+def check_callable(name: str, function: Any, argument: str) -> None:
+    """A function of one argument.
+
+    Raises:
+        ValueError: if it takes another number.
+    """
+    try:
+        inspect.signature(function).bind(0.0)
+    except ValueError:  # no signature to look at
+        return
+    except TypeError:
+        raise ValueError(f"{name}: {function!r} cannot be called with one argument, {argument}") from None
+
+
+def check_names(names: Sequence[str | None]) -> list[str]:
+    """Names of pairs, no two alike; those left out become "contact", numbered where there are several.
+
+    Raises:
+        ValueError: if two are given alike.
+    """
+    given = [name for name in names if name is not None]
+    twice = sorted({name for name in given if given.count(name) > 1})
+    if twice:
+        raise ValueError(
+            f"name = {twice[0]!r} of several contacts: files and results are kept by name, give each its own"
+        )
+    if len(names) == 1:
+        return [names[0] or "contact"]
+    free = (name for name in (f"contact_{k}" for k in itertools.count(1)) if name not in given)
+    return [next(free) if name is None else name for name in names]
+
+
+# ---------------------------------------------------------------- forms
+
+
+def check_residual(F: Any, u: fem.Function, name: str = "F") -> None:
+    """F must be a UFL form, linear in the test function of u's space, and depend on u.
+
+    Raises:
+        ValueError: if it is something else.
+    """
+    if not isinstance(F, ufl.Form):
+        raise ValueError(f"{name}: {type(F).__name__} is not a UFL form; pass internal minus external virtual work")
+    arguments = F.arguments()
+    if len(arguments) != 1:
+        found = {0: "no test function", 2: "a trial function, too"}.get(len(arguments), f"{len(arguments)} arguments")
+        raise ValueError(f"{name} has {found}: pass a residual, linear in the test function of u's space")
+    if arguments[0].ufl_function_space() != u.function_space:
+        raise ValueError(
+            f"{name}: its test function is of another space than u: use ufl.TestFunction(u.function_space)"
+        )
+    for kind, data in next(iter(F.subdomain_data().values()), {}).items():
+        if any(other is not data[0] for other in data):
+            raise ValueError(
+                f"{name}: its {kind} integrals have different subdomain_data: write all with measures of the same tags (pass "
+                "dx= to virtual_work and loads)"
+            )
+    if u not in F.coefficients():
+        raise ValueError(f"{name} does not depend on u: is it written with another Function?")
+    _check_linear(name, F)
+
+
+def check_external(external: Any, u: fem.Function) -> None:
+    """The virtual work of dead loads: a UFL form, linear in the test function of u's space, that does not depend on u.
+
+    Raises:
+        ValueError: if it is something else.
+    """
+    if external is None:
+        return
+    if not isinstance(external, ufl.Form):
+        raise ValueError(f"external: {type(external).__name__} is not a UFL form; pass a virtual work such as ρ g·w dx")
+    arguments = external.arguments()
+    if len(arguments) != 1 or arguments[0].ufl_function_space() != u.function_space:
+        raise ValueError("external: must be linear in the test function of u's space")
+    if u in external.coefficients():
+        raise ValueError(
+            "external depends on u: only dead loads have a work that the ledger can keep; what depends on u belongs into the "
+            "material or into F"
+        )
+    _check_linear("external", external)
+
+
+def _check_linear(name: str, form: ufl.Form) -> None:
+    try:
+        ufl.algorithms.compute_form_data(form)
+    except ufl.algorithms.check_arities.ArityMismatch as error:
+        raise ValueError(f"{name} is not linear in the test function: {error}") from None
+    except Exception:  # the form compiler says more
+        return
+
+
+def check_motions(motions: Sequence[Any], displacements: Sequence[fem.Function]) -> None:
+    """One motion per displacement of the problem.
+
+    Raises:
+        ValueError: on a motion of another problem, one passed twice, or one that is missing.
+    """
+    for k, motion in enumerate(motions):
+        if not any(motion.u is u for u in displacements):
+            raise ValueError(
+                f"motions[{k}] moves a displacement that is none of this problem's: make it from the problem's u"
+            )
+        if any(motion.u is other.u for other in motions[:k]):
+            raise ValueError(
+                f"motions[{k}] moves the same displacement as one before: pass one motion per displacement"
+            )
+    if len(motions) != len(displacements):
+        raise ValueError(f"motions: {len(motions)} for {len(displacements)} displacements; pass one each")
+
+
+def check_kinetic(energy: float) -> None:
+    """A march starts from a finite kinetic energy (J).
+
+    Raises:
+        ValueError: if it is not a number.
+    """
+    if not math.isfinite(energy):
+        raise ValueError(f"kinetic energy = {energy} J: a velocity or density is not a number")
+
+
+def check_law(u: fem.Function, membrane: bool, what: str) -> None:
+    """A body's law needs cells of the space's dimension, a membrane's one less.
+
+    Raises:
+        ValueError: on the other kind of mesh.
+    """
+    domain = u.function_space.mesh
+    d, tdim = domain.geometry.dim, domain.topology.dim
+    if tdim != d - int(membrane):
+        kind, other = ("membrane", "body") if membrane else ("body", "membrane")
+        raise ValueError(
+            f"{what} is for a {kind}, whose cells have dimension {d - int(membrane)} in space of dimension {d}; those of "
+            f"this mesh have {tdim}: " + (f"it is a {other}" if tdim == d - 1 + int(membrane) else "check gdim")
+        )
+
+
+# ---------------------------------------------------------------- meshes
+
+
+def are_tags_of(tags: Any, domain: mesh.Mesh) -> bool:
+    """Whether mesh tags are of this mesh."""
+    return bool(tags.topology is domain._cpp_object.topology)
+
+
+def check_cells(domain: mesh.Mesh) -> None:
+    """Every cell's map from its reference cell must be one to one: det J of one sign and not zero (collective).
+
+    Raises:
+        ValueError: on every rank, with the place of a cell that is folded or has no volume.
+    """
+    geometry, tdim = domain.geometry, domain.topology.dim
+    element = basix.create_element(
+        basix.ElementFamily.P, domain.basix_cell(), geometry.cmap.degree, basix.LagrangeVariant.equispaced
+    )
+    points = np.vstack([basix.make_quadrature(domain.basix_cell(), 2 * geometry.cmap.degree)[0]])
+    table = element.tabulate(1, points)[1 : tdim + 1, :, :, 0]  # (tdim, points, nodes)
+    cells = geometry.dofmap[: domain.topology.index_map(tdim).size_local]
+    X = geometry.x[cells, : geometry.dim].astype(np.float64)  # (cells, nodes, gdim)
+    J = np.einsum("tqn,cni->cqit", table, X)
+    if tdim == geometry.dim:
+        volume = np.linalg.det(J)
+    else:
+        volume = np.sqrt(np.maximum(np.linalg.det(np.swapaxes(J, -1, -2) @ J), 0.0))
+    size = np.max(np.ptp(X, axis=1), axis=1, initial=0.0)[:, None] ** tdim
+    flat = 1e-10 * size  # thinner cells than this have no stiffness in double precision
+    bad = np.flatnonzero(~((volume > flat).all(axis=1) | (volume < -flat).all(axis=1)))
+    mine = tuple(X[bad[0]].mean(axis=0).tolist()) if len(bad) else None
+    found = [place for place in domain.comm.allgather((len(bad), mine)) if place[0]]
+    if found:
+        X0 = ", ".join(f"{x:.4g}" for x in found[0][1])
+        raise ValueError(
+            f"mesh: {sum(count for count, _ in found)} cells are folded or without volume (det J ≤ 0), one around "
+            f"X = ({X0}): order the nodes of these cells as the element asks for, or mesh again"
+        )
