@@ -29,8 +29,7 @@ from matplotlib.collections import PolyCollection
 from mpi4py import MPI
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from demo_options import add_options
-
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, monitors, obstacles, output
 from dolfinx_mortar_al.quasistatic import StepFailure
 from meshes.disc import RIM, Disc

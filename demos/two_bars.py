@@ -23,8 +23,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from demo_options import add_options
-
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, output
 from exact.two_bars import TwoBars as Exact
 from meshes.two_bars import BAR1, BAR2, FACE1, FACE2, TwoBars

@@ -23,8 +23,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from demo_options import add_options
-
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, membrane, monitors, output, quasistatic
 from exact.two_membranes import TwoMembranes as Exact
 from meshes.two_membranes import EDGE, LOWER, UPPER, TwoMembranes
