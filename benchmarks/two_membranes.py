@@ -57,7 +57,7 @@ def traction_error(pressure: float, increments: int, cells: int, order: int) -> 
     """Largest relative deviation of a facet's mean traction from p·l without friction, away from the edges of contact;
     nan where contact has too few facets."""
     args = argparse.Namespace(
-        cells=(cells, cells), order=order, increments=increments, dim=2, swap=False, paraview=False
+        cells=(cells, cells), order=order, increments=increments, dim=2, swap=False, paraview=False, checkpoint=False
     )
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         history, _, profile = simulate(args, (0.0, 1.0, pressure), Path(folder))

@@ -154,7 +154,7 @@ def test_demo(shared_path, capsys):
     """The demo's history on disk, its ledger and figure; tips follow the exact solution to 3 steps × V: bars 2 % slower
     over 0.3 s after a release one step late are 2.2 steps × V off."""
     args = argparse.Namespace(
-        cells=20, step=None, time=0.5, dim=2, order=1, theta=0.5, force="consistent", gap=0.0,
+        cells=20, step=None, time=0.5, dim=2, order=1, theta=0.5, force="consistent", gap=0.0, checkpoint=False,
         output=shared_path, no_figure=False, paraview=True,
     )  # fmt: skip
     history = two_bars.simulate(args, shared_path)
