@@ -67,7 +67,9 @@ RIGID = "NAFEMS CGS-4 (R0081), rigid bodies: elastic ones tilt by p/E = 1e-6; Fr
 
 
 @case(
-    "incline", "Block pushed up an incline (NAFEMS CGS-4)", [Quantity(f"F/G, μ = {μ}", RIGID, 1e-5) for μ in FRICTIONS]
+    "incline",
+    "Block pushed up an incline (NAFEMS CGS-4)",
+    [Quantity(f"F/G, μ = {μ}", RIGID, 1e-5, order=0) for μ in FRICTIONS],
 )
 def incline(quick: bool) -> Outcome:
     """A block of weight G, 2 m × 1 m, is pushed horizontally by its back over a track with tan α = 0.1, over more
@@ -114,10 +116,14 @@ def slide(α: float) -> float:
     "Slipping block at the angle of friction",
     [
         Quantity(
-            "angle at which all slips", "atan μ; the event is met to 1/64 of an increment of 1/16", 1e-3, "degrees"
+            "angle at which all slips",
+            "atan μ; the event is met to 1/64 of an increment of 1/16",
+            1e-3,
+            "degrees",
+            order=0,
         ),
-        Quantity("slide at 1.5 atan μ", "balance of a rigid block, elastic to p/E = 1e-6", 1e-5, "m"),
-        Quantity("slide at 0.99 atan μ", "no slide, elastic to p/E = 1e-6", 1e-5, "m", 1.0),
+        Quantity("slide at 1.5 atan μ", "balance of a rigid block, elastic to p/E = 1e-6", 1e-5, "m", order=0),
+        Quantity("slide at 0.99 atan μ", "no slide, elastic to p/E = 1e-6", 1e-5, "m", 1.0, order=0),
     ],
 )
 def friction_angle(quick: bool) -> Outcome:

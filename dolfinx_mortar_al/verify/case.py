@@ -25,7 +25,7 @@ class Quantity:
             coarser meshes of --quick it is larger by `order`.
         unit: of value and reference.
         scale: what errors are relative to, default the reference's size.
-        order: of the error in the size of the cells: 1 next to the edge of contact, 0 where the reference is what is inexact.
+        order: of the error in the size of the cells: 1 next to the edge of contact, 0 where it is not the mesh that errs.
         known: why it misses its tolerance at present; a quantity that misses without a reason is a defect.
     """
 
@@ -145,7 +145,7 @@ def rows(done: Case, outcome: Outcome) -> list[Row]:
             continue
         errors = [quantity.error(*run.values[quantity.name]) for run in having]
         order = math.nan
-        if len(having) > 1 and min(errors[-2:]) > ROUND_OFF and having[-2].size != having[-1].size:
+        if len(having) > 1 and quantity.order > 0 and min(errors[-2:]) > ROUND_OFF:
             order = math.log(errors[-2] / errors[-1]) / math.log(having[-2].size / having[-1].size)
         value, reference = having[-1].values[quantity.name]
         tolerance = quantity.tolerance * outcome.coarse**quantity.order

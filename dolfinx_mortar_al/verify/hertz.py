@@ -108,6 +108,10 @@ def plane_values(problem: ContactProblem, exact: Cylinders) -> tuple[float, floa
 
 
 HERTZ = "Hertz; half planes and small slopes are right to a/R + (a/extent)² = 0.2 %"
+SSNP154 = (
+    "At the printed load SSNP154 expects 3800.5 MPa, from another program, and code_aster finds 3806 MPa, stresses at "
+    "a node. The nominal pressure does not approach that; it converges to 0.6 % above Hertz'."
+)
 NAFEMS = "Hertz (NAFEMS R0094-1, code_aster SSNP154); its own error is of order a/R = 12 %"
 
 
@@ -166,7 +170,7 @@ def hertz_plane(quick: bool) -> Outcome:
             axes.legend()
 
         runs.append(Run(f"{n} per a", 1 / n, values, effort, unknowns(problem.u), draw))
-    return Outcome(runs, coarse=40 / sizes[-1])
+    return Outcome(runs, [SSNP154], coarse=40 / sizes[-1])
 
 
 # ---------------------------------------------------------------- space
