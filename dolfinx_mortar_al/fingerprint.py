@@ -80,7 +80,7 @@ def _of_pair(pair: ContactPair) -> Fingerprint:
     contact, target = pair.contact, pair.contact.target
     said = {
         "friction": repr(pair.μ),
-        "epsilon": f"{pair.ε.normal:.9g} and {pair.ε.tangential:.9g}",
+        "epsilon": f"{pair.contact.epsilon_normal} and {pair.contact.epsilon_tangential}, {pair.stiffness:.9g} by default",
         "multiplier": f"order {contact.multiplier_order}, {pair.multiplier.components} components",
         "projection": contact.projection,
         "thickness": repr(contact.thickness),

@@ -1,0 +1,23 @@
+"""The verification suite: cases with known answers, run by ``python3 -m dolfinx_mortar_al.verify``."""
+
+from dolfinx_mortar_al.verify import blocks, hertz, impact, ironing, klang, mindlin, patch, rings, twist
+from dolfinx_mortar_al.verify.case import CASES, Case, Outcome, Quantity, Row, Run, rows
+
+__all__ = [
+    "CASES",
+    "Case",
+    "Outcome",
+    "Quantity",
+    "Row",
+    "Run",
+    "blocks",
+    "hertz",
+    "impact",
+    "ironing",
+    "klang",
+    "mindlin",
+    "patch",
+    "rings",
+    "rows",
+    "twist",
+]
