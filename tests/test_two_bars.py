@@ -169,7 +169,7 @@ def test_demo(shared_path, capsys):
     over 0.3 s after a release one step late are 2.2 steps × V off."""
     args = argparse.Namespace(
         cells=20, step=None, time=0.5, dim=2, order=1, theta=0.5, force="consistent", redistribute=False, gap=0.0,
-        output=shared_path, no_figure=False, paraview=True,
+        output=shared_path, no_figure=False, paraview=True, checkpoint=False,
     )  # fmt: skip
     history = two_bars.simulate(args, shared_path)
     t = history.column("time")
