@@ -48,10 +48,8 @@ def tip_error(t: NDArray[np.float64], u: NDArray[np.float64]) -> float:
 
 def run(cells: int, step: float | None = None, **more: Any) -> dict[str, Any]:
     """What the tables show of one run of the demo; energies as shares of E₀."""
-    chosen = {"theta": 0.5, "force": "consistent"} | more
-    args = argparse.Namespace(
-        cells=cells, step=step, time=0.5, dim=2, order=1, gap=0.0, paraview=False, checkpoint=False, **chosen
-    )
+    chosen = {"theta": 0.5, "force": "consistent", "checkpoint": False} | more
+    args = argparse.Namespace(cells=cells, step=step, time=0.5, dim=2, order=1, gap=0.0, paraview=False, **chosen)
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         history = simulate(args, Path(folder))
