@@ -163,7 +163,7 @@ def watch_steps(scene: Collision, to: float, size: float, *, free: bool = True) 
     start, pair = scene.momenta(), scene.problem.pairs[0]
     one_by_one = np.linalg.norm(start[:, :2], axis=1)
     scale = one_by_one.sum(), max(abs(start[:, 2]).sum(), one_by_one.sum() * pair.area / (2 * np.pi))
-    seen, clock, last = Watched(scene.energy), time.process_time(), 0.0
+    seen, clock, last = Watched(scene.energy), time.process_time(), (0.0, 0.0)
     try:
         for step in dynamics.march(scene.problem, scene.motions, to=to):
             ledger = step.ledger
@@ -174,8 +174,9 @@ def watch_steps(scene: Collision, to: float, size: float, *, free: bool = True) 
                 seen.spin = max(seen.spin, float(abs(now[2]) / scale[1]))
             seen.deepest = max(seen.deepest, step.penetration / size)
             seen.mean_gap = max(seen.mean_gap, mean_gap(pair) / size)
-            seen.worst_gain = min(seen.worst_gain, (ledger.impact_loss - last) / seen.energy)
-            last, seen.loss, seen.friction = ledger.impact_loss, ledger.impact_loss, ledger.friction_dissipation
+            now_lost = ledger.impact_loss, ledger.friction_dissipation
+            seen.worst_gain = min(seen.worst_gain, *((b - a) / seen.energy for a, b in zip(last, now_lost, strict=True)))
+            seen.loss, seen.friction = last = now_lost
             seen.defect = max(seen.defect, abs(ledger.energy_defect) / seen.energy)
             seen.steps, seen.iterations = seen.steps + 1, seen.iterations + step.iterations
             seen.rejected += step.rejected
