@@ -236,8 +236,11 @@ class _Stepper:
         self._work = self._contact_work()
         reasons = [str(f) for f in self._findings if f.fatal]
         allowed = GAIN * max(self.ledger.total + self.ledger.impact_loss + self.ledger.friction_dissipation, 0.0)
-        if min(self._work.lost, -self._work.tangential) < -allowed:
-            gain = -min(self._work.lost, -self._work.tangential)
+        done, so_far = self._work, self.ledger.impact_loss + self.ledger.friction_dissipation
+        # beyond what the augmentation gives back, or more than was lost before
+        released = max(done.lost + done.normal, 0.0)
+        gain = max(done.normal + done.tangential - released, done.tangential - done.lost - so_far)
+        if gain > allowed:
             reasons.append(f"contact would give {gain:.3g} J to the bodies in this step; take a smaller one")
         for pair, level in zip(self.problem.pairs, self.levels, strict=True):
             passed = level.passed_through(pair.state)
@@ -299,7 +302,8 @@ class _Stepper:
         forces = tuple(pair.force() + i / Δt for pair, i in zip(problem.pairs, settled.impulses, strict=True))
         problem.commit()
         now = self._with_state(last)
-        work, loss, friction = work + settled.by_obstacles, done.lost + settled.lost, -done.tangential
+        work, loss = work + settled.by_obstacles, done.lost + settled.lost
+        friction = settled.friction - done.tangential
         self.ledger = replace(
             now,
             external_work=last.external_work + work,

@@ -253,7 +253,7 @@ class NewtonSolver:
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         self.problem.tension = self._fictitious_tension()
         first, last = max(self.result.norms[0]), max(self.result.norms[-1])
-        self.problem.spring_share = SPRING * min(1.0, last / max(first, 1e-300))
+        self.problem.spring_share = SPRING * min(first, last) / max(first, 1e-300)
         self.problem.assemble_jacobian()
         if self.problem.matrix.handle != A.handle:  # a new pattern
             snes.setJacobian(self._jacobian, self.problem.matrix)
@@ -268,7 +268,7 @@ class NewtonSolver:
         norms = [max(norms) for norms in self.result.norms]
         if len(norms) > 1:
             self._tension *= 0.3 if norms[-1] < norms[-2] else 3.0
-        return self._tension * min(1.0, norms[-1] / max(norms[0], 1e-300))
+        return self._tension * min(norms[0], norms[-1]) / max(norms[0], 1e-300)
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
         f = self.problem.residual.getNestSubVecs() if iteration == 0 else snes.getFunction()[0].getNestSubVecs()

@@ -16,6 +16,7 @@ impulses act along the step's traction; where a sticking point's impulse would l
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -43,11 +44,21 @@ CONE = 1e-10  # share of the bound by which round-off may leave Coulomb's cone
 PASSES = 4  # rounds in which sticking points are let slip; after them all are
 
 
+@dataclass(frozen=True)
 class Settled:
-    """What a projection did: kinetic energy lost and work of obstacles (J), and the impulse on each contactor (N s)."""
+    """What a projection did.
 
-    def __init__(self, lost: float, by_obstacles: float, impulses: list[Array]) -> None:
-        self.lost, self.by_obstacles, self.impulses = lost, by_obstacles, impulses
+    Attributes:
+        lost: energy that −𝐈 takes as conjugate to 𝐆𝐯 (J): that of the impact of nodes.
+        friction: the rest (J), what impulses along the traction add where points slip. It corrects what the step's own
+            tractions dissipate, and has either sign.
+        by_obstacles: work of obstacles (J); impulses: (gdim,) on each contactor (N s).
+    """
+
+    lost: float
+    friction: float
+    by_obstacles: float
+    impulses: list[Array]
 
 
 class VelocityProjection:
@@ -74,11 +85,11 @@ class VelocityProjection:
         problem = self._problem
         closed = [problem.comm.allreduce(bool(pair.active.closed.any()), MPI.LOR) for pair in problem.pairs]
         if not any(closed):
-            return Settled(0.0, 0.0, [np.zeros(problem.gdim) for _ in problem.pairs])
+            return Settled(0.0, 0.0, 0.0, [np.zeros(problem.gdim) for _ in problem.pairs])
         hold: list[Bool] = [np.ones(pair.integration.size, dtype=bool) for pair in problem.pairs]
         for round_ in range(PASSES + 1):
             parts = [_Part(pair, k, still) for pair, k, still in zip(problem.pairs, self._density, hold, strict=True)]
-            δv, impulses = self._solve(parts, Δt)
+            δv, impulses, lost = self._solve(parts, Δt)
             loose = [part.leaves_cone(i, Δt) for part, i in zip(parts, impulses, strict=True)]
             if round_ == PASSES or not problem.comm.allreduce(any(bool(some.any()) for some in loose), MPI.LOR):
                 break
@@ -90,10 +101,10 @@ class VelocityProjection:
         gain = sum(motion.kinetic_energy() for motion in self._motions) - before
         found = [part.impulse(i, Δt) for part, i in zip(parts, impulses, strict=True)]
         work = sum(done for _, done in found)
-        return Settled(work - gain, work, [impulse for impulse, _ in found])
+        return Settled(lost, work - gain - lost, work, [impulse for impulse, _ in found])
 
-    def _solve(self, parts: list[_Part], Δt: float) -> tuple[Array, list[Array]]:
-        """δ𝐯 (owned dofs,) and each pair's impulses at its points (n, components) (N s/m²)."""
+    def _solve(self, parts: list[_Part], Δt: float) -> tuple[Array, list[Array], float]:
+        """δ𝐯 (owned dofs,), each pair's impulses at its points (n, components) (N s/m²), and the energy lost (J)."""
         if not self._fits(parts):
             self._make_system(parts)
         problem = self._problem
@@ -120,7 +131,12 @@ class VelocityProjection:
         self._solver.setOperators(self._nest)
         self._solver.solve(right, solution := right.duplicate())
         δv, *multipliers = solution.getNestSubVecs()
-        return δv.array_r.copy(), [part.at_points(v) for part, v in zip(parts, multipliers, strict=True)]
+        # −𝐈·𝐆(𝐯 + 𝐯*)/2, relative to obstacles, is 𝐈·(𝐫 + 𝐃𝐈)/2 with the right-hand side 𝐫 = −𝐆𝐯*
+        lost = 0.0
+        for (_, _, D), I, r in zip(self._blocks, multipliers, vectors[1:], strict=True):
+            D.mult(I, held := r.duplicate())
+            lost += (I.dot(r) + I.dot(held)) / 2
+        return δv.array_r.copy(), [part.at_points(v) for part, v in zip(parts, multipliers, strict=True)], lost
 
     def _fits(self, parts: list[_Part]) -> bool:
         """Whether the matrices have the pattern of these parts on all ranks: they and their factorisation are kept then."""
