@@ -13,6 +13,7 @@ from dolfinx_mortar_al.kinematics import Kinematics
 from dolfinx_mortar_al.law import OPEN, STICK, LawState
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.projection import Projection
+from dolfinx_mortar_al.segments import Segments
 from dolfinx_mortar_al.targets import Target
 
 __all__ = ["PairResults"]
@@ -39,9 +40,10 @@ class PairResults:
     integration: IntegrationPoints
     kinematics: Kinematics
     target: Target
+    segments: Segments | None
     state: LawState
     area: float
-    _last_points: NDArray[np.bool_]
+    _at_end: NDArray[np.bool_]
 
     @property
     def j(self) -> Array:
@@ -107,7 +109,9 @@ class PairResults:
         return float(self.comm.allreduce(float(self.j[points].sum()))) / self.area
 
     def coarse_integration(self) -> Finding | None:
-        """Where closed points lie farther apart than the target facets they face are long (collective)."""
+        """Where closed Gauss points lie farther apart than the target facets they face are long (collective)."""
+        if self.segments is not None:
+            return None
         closed = np.flatnonzero(self.state.status != OPEN)
         ratio = self.target.extents[self.at.point.facet[closed]] / self.integration.spacing[closed]
         k = int(np.argmin(ratio)) if len(ratio) else -1
@@ -119,9 +123,18 @@ class PairResults:
             else Finding(f"{self.name}: target facets per point's distance", value, X, FINER, False)
         )
 
+    def _last_points(self) -> NDArray[np.bool_]:
+        """(n,) the points next to an end of the contactor."""
+        points = self.integration
+        weight = (points.N * self._at_end[points.facet]).sum(axis=1)
+        nearest = np.zeros(points.facets.size)
+        np.maximum.at(nearest, points.facet, weight)
+        near: NDArray[np.bool_] = (weight > 0.5) & (weight >= nearest[points.facet] - 1e-9)
+        return near
+
     def reaches_end(self) -> bool:
         """Whether a point is closed at the very end of the contactor or of the target (collective)."""
         closed = self.state.status != OPEN
         facets = self.target.facets[self.at.point.facet]
-        at_end = self._last_points | (np.einsum("nk,nk->n", self.at.N, self.target.end_nodes[facets]) > 1 - AT_END)
+        at_end = self._last_points() | (np.einsum("nk,nk->n", self.at.N, self.target.end_nodes[facets]) > 1 - AT_END)
         return bool(self.comm.allreduce(bool((closed & at_end).any()), MPI.LOR))

@@ -79,6 +79,15 @@ class Target(ABC):
         """The target's closest points to 𝐱 (n, gdim), whether they are faced or not."""
 
     @abstractmethod
+    def faced(self, points: ContactorPoints, nodes: Array) -> TargetPoint:
+        """Material points that `points` face, or else the closest ones, with the target's nodes at `nodes` (m)."""
+
+    @property
+    @abstractmethod
+    def nodes(self) -> Array:
+        """(nodes, gdim) where its nodes are now (m)."""
+
+    @abstractmethod
     def weights(self, point: TargetPoint) -> Array:
         """(n, k) shape functions of the target's nodes at material points."""
 
@@ -119,12 +128,26 @@ class DeformableTarget(Target):
     def refresh(self) -> None:
         self._nodes = self.surface.X + self.at_nodes(self._body.u)
 
+    @property
+    def nodes(self) -> Array:
+        return self._nodes
+
     def project(self, points: ContactorPoints) -> Projection:
         x, surface = points.x, self.surface
         if not self.uses_rays:
             return project(surface, self._nodes, x, self._near(x, self._nodes))
         table = self._on_rays(x, points.normal, self._nodes)
         return cast(surface, self._nodes, x, points.normal, points.tangents, table, self._near)
+
+    def faced(self, points: ContactorPoints, nodes: Array) -> TargetPoint:
+        search = CandidateSearch(self.surface)
+        table = RaySearch(self.surface)(points.x, points.normal, nodes)
+        at = cast(self.surface, nodes, points.x, points.normal, points.tangents, table, search)
+        lost = np.flatnonzero(~at.facing)
+        if len(lost):
+            near = project(self.surface, nodes, points.x[lost], search(points.x[lost], nodes)).point
+            at.point.facet[lost], at.point.η[lost] = near.facet, near.η
+        return at.point
 
     def closest(self, x: Array) -> ClosestPoint:
         return project(self.surface, self._nodes, x, CandidateSearch(self.surface)(x, self._nodes))
@@ -162,6 +185,13 @@ class RigidTarget(Target):
 
     def refresh(self) -> None:
         pass
+
+    @property
+    def nodes(self) -> Array:
+        return np.zeros((0, self.fixed.shape[1]))
+
+    def faced(self, points: ContactorPoints, nodes: Array) -> TargetPoint:
+        return self.obstacle.project(points.x).point
 
     def project(self, points: ContactorPoints) -> Projection:
         return self.obstacle.project(points.x)
