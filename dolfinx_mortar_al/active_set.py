@@ -70,8 +70,9 @@ class ActiveSet:
         self._losses[:], self._pardoned = 0, False
 
     def transfer(self, origin: Index) -> None:
-        """Other points: each takes over what is known of the former point `origin` (n,)."""
-        self.closed, self._losses = self.closed[origin], self._losses[origin]
+        """Other points: each takes over what is known of the former point `origin` (n,), but for slides off the target, where
+        segments end, too."""
+        self.closed, self._losses = self.closed[origin], np.zeros(len(origin), dtype=np.int64)
         self.frozen = None if self.frozen is None else self.frozen[origin]
 
     @property

@@ -27,7 +27,7 @@ from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.results import PairResults
-from dolfinx_mortar_al.segments import Segments
+from dolfinx_mortar_al.segments import Segments, segments_of
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.surface import Facets, Surface
 from dolfinx_mortar_al.targets import DeformableTarget, RigidTarget, target_of
@@ -171,8 +171,8 @@ class ContactPair(PairResults):
             return None
         assert isinstance(self.target, DeformableTarget)
         degree = self.contact.quadrature_degree
-        degree = segment_degree(self.facets) if degree is None else degree
-        return Segments(self.facets, self.target.surface, degree, self.contact.thickness)
+        degree = segment_degree(self.facets, self.contact.multiplier_order) if degree is None else degree
+        return segments_of(self.facets, self.target.surface, degree, self.contact.thickness)
 
     def _redundant(self, fixed: Bool) -> Bool:
         """(nf, nodes, components) where the relative displacement is prescribed, so that the multiplier has nothing to
@@ -244,6 +244,8 @@ class ContactPair(PairResults):
     def begin(self) -> None:
         """A new solve."""
         self.active.begin()
+        if self.segments is not None:
+            self.segments.begin()
 
     def evaluate(self) -> None:
         """Projection, slip and law at the displacements and the multiplier field; ghosts are up to date."""

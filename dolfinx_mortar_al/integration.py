@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from basix import CellType
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.surface import Facets, surface_normal
@@ -35,9 +36,11 @@ def default_degree(facets: Facets, is_membrane: bool, ratio: float) -> int:
     return min(HIGHEST, max(degree, 2 * int(np.ceil(PER_TARGET_FACET * ratio)) - 1))
 
 
-def segment_degree(facets: Facets) -> int:
-    """The degree on each segment that is used unless the user names one: exact for products of shape functions."""
-    return 2 * facets.shape.order
+def segment_degree(facets: Facets, multiplier_order: int) -> int:
+    """The degree on each segment that is used unless the user names one: on flat facets exact for products of displacements
+    with each other, or on quadrilaterals, whose degree is twice their order, with the multiplier."""
+    order = facets.shape.order
+    return 2 * (order + multiplier_order) if facets.shape.cell == CellType.quadrilateral else 2 * order
 
 
 @dataclass(frozen=True)
