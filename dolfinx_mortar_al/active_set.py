@@ -69,6 +69,12 @@ class ActiveSet:
         self.patience, self._weak_may_open, self.frozen = PATIENCE, self.guessed, None
         self._losses[:], self._pardoned = 0, False
 
+    def transfer(self, origin: Index) -> None:
+        """Other points: each takes over what is known of the former point `origin` (n,), but for slides off the target, where
+        segments end, too."""
+        self.closed, self._losses = self.closed[origin], np.zeros(len(origin), dtype=np.int64)
+        self.frozen = None if self.frozen is None else self.frozen[origin]
+
     @property
     def _left(self) -> Bool:
         """(n,) points that have slid off the target for good, as far as this solve goes."""

@@ -56,12 +56,16 @@ class Blocks:
         target: Target,
         multiplier: MultiplierSpace,
     ) -> None:
-        self.points, self.target, self.multiplier = points, target, multiplier
+        self.target, self.multiplier = target, multiplier
         self.contactor, self.fixed = contactor, fixed
         self.gdim = fixed.shape[2]
+        self.take(points)
+
+    def take(self, points: IntegrationPoints) -> None:
+        """Integrate at these points from now on."""
+        self.points = points
         #: (n, nodes, components) multiplier shape functions, redundant nodes eliminated
-        N = multiplier.shape.tabulate(points.η)[0]
-        self.NΛ: Array = np.einsum("na,niab->nbi", N, multiplier.T[points.facet])
+        self.NΛ: Array = self.multiplier.at(points.facet, points.η)
 
     def multiplier_at_points(self) -> Array:
         """(n, components) the multiplier field at the points (Pa)."""

@@ -20,13 +20,14 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.active_set import ActiveSet
 from dolfinx_mortar_al.blocks import Blocks, Tangent
 from dolfinx_mortar_al.bodies import Bodies
-from dolfinx_mortar_al.integration import IntegrationPoints, default_degree
-from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel
-from dolfinx_mortar_al.law import OPEN, Augmentation, Coulomb, Frictionless
+from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, segment_degree
+from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
+from dolfinx_mortar_al.law import OPEN, Augmentation, Coulomb, Frictionless, augmented_normal
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.results import PairResults
+from dolfinx_mortar_al.segments import Segments, segments_of
 from dolfinx_mortar_al.step_level import StepLevel
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.surface import Facets, GatheredFacets, Surface
@@ -57,9 +58,11 @@ class Contact:
         multiplier_order: of the multiplier's Lagrange element, 1 or, as in the paper, the displacement's.
         projection: "rays" along the contactor's normals, or "closest", the paper's closest points. A rigid obstacle always
             has the closest points.
-        quadrature_degree: of the contactor's Gauss points, at least twice the multiplier's order; default 4 × the
+        integration: "segments", between the ends of the target's facets as the contactor's rays see them, which follow the
+            bodies, or "gauss", the default, the same points on each facet.
+        quadrature_degree: of the Gauss points on each facet, at least twice the multiplier's order; default 4 × the
             displacement's order (on a curved membrane in the plane 6 × order + 1), more where the target's facets are
-            finer.
+            finer. With segments of the points on each segment; default 2 × the displacement's order.
         thickness: out of the plane (m), for two-dimensional bodies; the same as in the bulk's forms.
         name: for messages and files; default "contact", with a number where there are several.
 
@@ -75,6 +78,7 @@ class Contact:
     epsilon_tangential: float | None = None
     multiplier_order: int = 1
     projection: str = "rays"
+    integration: str = "gauss"
     quadrature_degree: int | None = None
     thickness: float = 1.0
     name: str | None = None
@@ -99,6 +103,13 @@ class Contact:
             raise ValueError(f'projection = "{self.projection}": "rays" or "closest"')
         if self.name is not None and (not isinstance(self.name, str) or not self.name or set(self.name) & set("/\0")):
             raise ValueError(f"name = {self.name!r}: files are called after it; pass a text without /")
+        if self.integration not in ("segments", "gauss"):
+            raise ValueError(f'integration = "{self.integration}": "segments" or "gauss"')
+        if self.integration == "segments" and self.projection != "rays":
+            raise ValueError(
+                f'integration = "segments" with projection = "{self.projection}": segments are cut by rays; take '
+                'projection = "rays" or integration = "gauss"'
+            )
         a, b = self.contactor, self.target
         if not isinstance(a, Surface):
             raise ValueError(f"contactor: {type(a).__name__} is not a Surface; an obstacle can be the target only")
@@ -131,21 +142,25 @@ class ContactPair(PairResults):
         self.facets = Facets.of(contact.contactor, self._body1.space)
         contactor = self.facets.gather()
         self.target = target_of(contact.target, bodies, contactor.size_of_facets, contact.projection == "rays")
-        self.integration = self._points(float(contactor.areas().max() ** (1.0 / self.target.dim)))
+        #: Gauss points: all there is without segments, and with them where λ̂_N is kept from step to step
+        self.gauss = self._points(float(contactor.areas().max() ** (1.0 / self.target.dim)))
+        self.integration = self.gauss
         self.area = float(self.comm.allreduce(float(self.j.sum())))
         self._check_apart(contactor)
         self.kinematics: Kinematics = PositionLevel(self.integration, self._body1.u, self.target, friction)
         #: (nf, nodes) numbers of the contactor's nodes among all bodies'
         self.contactor_blocks: Index = bodies.nodes(k, self.facets.dofs)
-        self._last_points = self._points_at_end(contactor.blocks[contactor.end_nodes])
+        own = self.facets.space.dofmap.index_map.local_to_global(self.facets.dofs.ravel())
+        self._at_end = np.isin(own, contactor.blocks[contactor.end_nodes]).reshape(self.facets.dofs.shape)
         fixed = self._at_nodes(self._body1.prescribed()) > 0
         redundant = self._redundant(fixed)
-        #: (n,) points on facets whose motion relative to the target is prescribed altogether
-        self._prescribed_points = np.asarray(redundant.all(axis=(1, 2)))[self.integration.facet]
+        #: (nf,) facets whose motion relative to the target is prescribed altogether
+        self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))
         components = self.gdim if friction else 1
         self.multiplier = MultiplierSpace(self.facets, contact.multiplier_order, components, redundant)
         self.blocks = Blocks(self.integration, self.contactor_blocks, fixed, self.target, self.multiplier)
         self.active = ActiveSet(self.blocks, self.comm)
+        self.segments = self._make_segments()
 
     # ---------------------------------------------------------------- set-up
 
@@ -167,20 +182,23 @@ class ContactPair(PairResults):
                 f"{self.name}: quadrature_degree = {degree} has too few points to determine multipliers of order "
                 f"{contact.multiplier_order}; take at least {2 * contact.multiplier_order}"
             )
-        if degree is None:
+        if degree is None or self._wants_segments:
             ratio = extent / float(np.mean(self.target.extents))
             degree = default_degree(self.facets, contact.contactor.is_membrane, ratio)
         return IntegrationPoints.gauss(self.facets, degree, contact.thickness)
 
-    def _points_at_end(self, ends: Index) -> Bool:
-        """(n,) the points next to an end of the contactor, whose nodes have the global blocks `ends`."""
-        V, points = self.facets.space, self.integration
-        own = V.dofmap.index_map.local_to_global(self.facets.dofs.ravel()).reshape(self.facets.dofs.shape)
-        weight = (points.N * np.isin(own, ends)[points.facet]).sum(axis=1)
-        nearest = np.zeros(self.facets.size)
-        np.maximum.at(nearest, points.facet, weight)
-        near: Bool = (weight > 0.5) & (weight >= nearest[points.facet] - 1e-9)
-        return near
+    @property
+    def _wants_segments(self) -> bool:
+        return self.contact.integration == "segments" and isinstance(self.target, DeformableTarget)
+
+    def _make_segments(self) -> Segments | None:
+        """Segments, where they are wanted and there is a target with ends of facets."""
+        if not self._wants_segments:
+            return None
+        assert isinstance(self.target, DeformableTarget)
+        degree = self.contact.quadrature_degree
+        degree = segment_degree(self.facets, self.contact.multiplier_order) if degree is None else degree
+        return segments_of(self.facets, self.target.surface, degree, self.contact.thickness)
 
     def _check_apart(self, contactor: GatheredFacets) -> None:
         """Contactor and target share no node: the gap would vanish there whatever happens.
@@ -264,6 +282,8 @@ class ContactPair(PairResults):
         """
         k = self.kinematics
         self.target.refresh()
+        self._remember()
+        self._follow()
         k.set_history(self.target.closest(k.positions()).point)
         k.evaluate()
         k.commit()
@@ -320,14 +340,34 @@ class ContactPair(PairResults):
         if isinstance(self.law, Coulomb):
             self.law = replace(self.law, μ=self.μ)
         self.active.begin()
+        if self.segments is not None:
+            self.segments.begin()
 
     def evaluate(self) -> None:
         """Projection, slip and law at the displacements and the multiplier field; ghosts are up to date."""
         with self.stopwatch("projection"):
+            if self.segments is not None:
+                self.target.refresh()
+                self._follow()
             self.kinematics.evaluate()
         with self.stopwatch("contact"):
             self.Λ = self.blocks.multiplier_at_points()
             self.apply_law()
+
+    def _follow(self) -> None:
+        """Let the segments follow the bodies: all that is kept at points moves along."""
+        points = None if self.segments is None else self.segments.follow(self.kinematics.nodes(), self.target.nodes)
+        if points is None:
+            return
+        origin = self.integration.nearest(points.facet, points.η)
+        self.integration = points
+        self.kinematics.take(points, *self._converged)
+        self.blocks.take(points)
+        self.active.transfer(origin)
+
+    def _remember(self) -> None:
+        """Keep where the bodies' nodes are: slip is counted from there, wherever points will be."""
+        self._converged = self.kinematics.nodes(), self.target.nodes.copy()
 
     def apply_law(self) -> None:
         """What eq. (1) says with the active set as it is."""
@@ -360,7 +400,13 @@ class ContactPair(PairResults):
     # ---------------------------------------------------------------- steps
 
     def use_steps(self) -> StepLevel:
-        """Take the kinematics of time steps, for impact."""
+        """Take the kinematics of time steps, for impact.
+
+        Raises:
+            ValueError: on every rank, with segments, which do not follow the bodies there.
+        """
+        if self.segments is not None:
+            raise ValueError(f'{self.name}: integration = "segments" is for statics; take "gauss" in impact')
         if not isinstance(self.kinematics, StepLevel):
             self.kinematics = StepLevel(self.kinematics)
             self.active.cautious = False
@@ -370,6 +416,7 @@ class ContactPair(PairResults):
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""
         self.kinematics.commit()
+        self._remember()
         self.active.guessed = False
 
     def snapshot(self) -> dict[str, Array]:
@@ -377,11 +424,13 @@ class ContactPair(PairResults):
         history = self.kinematics.history
         arrays = {
             "multiplier": self.multiplier.field.x.array.copy(),
-            "λN_hat": self.state.λN_hat.copy(),
-            "facet": history.facet.copy(),
-            "η": history.η.copy(),
             "guessed": np.array(self.active.guessed),
         }
+        if self.segments is None:
+            arrays |= {"λN_hat": self.state.λN_hat.copy(), "facet": history.facet.copy(), "η": history.η.copy()}
+        else:  # no array may depend on where the segments are
+            contactor, target = self._converged
+            arrays |= {"λN_hat": self._λN_hat_at_gauss(), "contactor": contactor.copy(), "target": target.copy()}
         if isinstance(self.target, RigidTarget):
             pose = self.target.obstacle.pose
             arrays |= {"translation": pose.translation, "rotation": pose.rotation}
@@ -393,9 +442,25 @@ class ContactPair(PairResults):
         self.active.guessed = bool(saved["guessed"])
         if isinstance(self.target, RigidTarget):
             self.target.obstacle.pose = Pose(saved["translation"], saved["rotation"])
-        self.kinematics.set_history(TargetPoint(saved["facet"].astype(np.int64), saved["η"].copy()))
+        λN_hat = saved["λN_hat"]
+        if self.segments is None:
+            self.kinematics.set_history(TargetPoint(saved["facet"].astype(np.int64), saved["η"].copy()))
+        else:
+            self._converged = saved["contactor"].copy(), saved["target"].copy()
+            self.target.refresh()
+            self.segments.forget()
+            self._follow()
+            λN_hat = λN_hat[self.gauss.nearest(self.integration.facet, self.integration.η)]
         self.kinematics.evaluate()
-        self.active.expect(saved["λN_hat"], self.kinematics, self.ε.normal)
+        self.active.expect(λN_hat, self.kinematics, self.ε.normal)
+
+    def _λN_hat_at_gauss(self) -> Array:
+        """(ng,) λ̂_N (Pa) at the Gauss points, which stay where they are while segments move."""
+        points = self.gauss
+        at = self.target.project(contactor_points(points, self.kinematics.nodes()))
+        Λ = (self.multiplier.at(points.facet, points.η) * self.multiplier.own_nodal()[points.facet]).sum(axis=1)
+        λN = np.einsum("ni,ni->n", at.ν, Λ) if self.contact.friction else Λ[:, 0]
+        return augmented_normal(λN, at.g, self.ε)
 
     # ---------------------------------------------------------------- element arrays
 

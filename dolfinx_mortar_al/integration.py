@@ -1,7 +1,7 @@
 """Where the contactor's integrals are taken: points and weights on its reference facets.
 
-Today Gauss points, the same on each facet. All that comes after takes points one by one, so that points of another number on
-each facet (segments between the projections of the target's nodes) find their place here.
+Either Gauss points, the same on each facet, or those of segments (`segments.py`), of another number on each facet. All that
+comes after takes points one by one.
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from basix import CellType
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.surface import Facets, surface_normal
 
-__all__ = ["IntegrationPoints", "default_degree"]
+__all__ = ["IntegrationPoints", "default_degree", "segment_degree"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -33,6 +34,13 @@ def default_degree(facets: Facets, is_membrane: bool, ratio: float) -> int:
     order = facets.shape.order
     degree = PER_ORDER_ON_CURVES * order + 1 if is_membrane and facets.shape.dim == 1 else PER_ORDER * order
     return min(HIGHEST, max(degree, 2 * int(np.ceil(PER_TARGET_FACET * ratio)) - 1))
+
+
+def segment_degree(facets: Facets, multiplier_order: int) -> int:
+    """The degree on each segment that is used unless the user names one: on flat facets exact for products of displacements
+    with each other, or on quadrilaterals, whose degree is twice their order, with the multiplier."""
+    order = facets.shape.order
+    return 2 * (order + multiplier_order) if facets.shape.cell == CellType.quadrilateral else 2 * order
 
 
 @dataclass(frozen=True)
@@ -107,6 +115,14 @@ class IntegrationPoints:
     def _starts(self) -> Index:
         """Where each facet's points begin."""
         return np.flatnonzero(np.r_[True, np.diff(self.facet) > 0])
+
+    def nearest(self, facet: Index, η: Array) -> Index:
+        """(m,) which of these points is the nearest on the same facet to each of (m,) facets and (m, dim) η."""
+        count = np.bincount(self.facet, minlength=self.facets.size)
+        first = np.cumsum(count) - count
+        place = np.minimum(np.arange(count.max(initial=1)), count[facet, None] - 1) + first[facet, None]
+        distance = np.abs(self.η[place] - η[:, None]).sum(axis=2)
+        return np.asarray(place[np.arange(len(facet)), distance.argmin(axis=1)])
 
     @cached_property
     def spacing(self) -> Array:

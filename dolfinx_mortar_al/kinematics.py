@@ -19,7 +19,7 @@ from dolfinx_mortar_al.projection import Projection, TargetPoint
 from dolfinx_mortar_al.targets import ContactorPoints, Target
 from dolfinx_mortar_al.variation import Slots, vary
 
-__all__ = ["Forces", "Kinematics", "PositionLevel"]
+__all__ = ["Forces", "Kinematics", "PositionLevel", "contactor_points"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -79,11 +79,7 @@ class Kinematics(ABC):
 
     def contactor(self, nodes: Array | None = None) -> ContactorPoints:
         """The points with the contactor's normals and tangents, now or with the nodes (nf, nodes, gdim) elsewhere."""
-        nodes = self.nodes() if nodes is None else nodes
-        tangents = self.points.tangents(nodes)
-        normal = self.points.normals(tangents)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        return ContactorPoints(self.points.interpolate(nodes), normal, tangents)
+        return contactor_points(self.points, self.nodes() if nodes is None else nodes)
 
     # ---------------------------------------------------------------- the present state
 
@@ -144,6 +140,16 @@ class Kinematics(ABC):
         """What the points face in the present positions."""
         return self.at
 
+    def take(self, points: IntegrationPoints, contactor: Array, target: Array) -> None:
+        """Other points from now on. What they faced when the last step had converged is found anew, with the nodes of
+        contactor (nf, nodes, gdim) and target (nodes, gdim) where they were then (m): history belongs to the bodies, not to
+        the points."""
+        self.points = points
+        if self.friction:
+            self.set_history(self.target.faced(contactor_points(points, contactor), target))
+        else:
+            self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros_like(points.η))
+
     def commit(self) -> None:
         """The step has converged: Y_{n−1} ← Y."""
         point = self.faced.point.copy()
@@ -161,6 +167,14 @@ class Kinematics(ABC):
     def positions_of_history(self) -> Array:
         """(n, gdim) where the points Y_{n−1} are now, φ₂(Y_{n−1}, t) (m)."""
         return self.target.positions(self.history, self.weights)
+
+
+def contactor_points(points: IntegrationPoints, nodes: Array) -> ContactorPoints:
+    """Integration points with the contactor's normals and tangents, its nodes at `nodes` (nf, nodes, gdim)."""
+    tangents = points.tangents(nodes)
+    normal = points.normals(tangents)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return ContactorPoints(points.interpolate(nodes), normal, tangents)
 
 
 class PositionLevel(Kinematics):

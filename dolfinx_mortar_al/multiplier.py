@@ -97,6 +97,10 @@ class MultiplierSpace:
             T[f, i] = extrapolation(shape, ~self.redundant[f, :, i])
         return T
 
+    def at(self, facet: NDArray[np.int64], η: Array) -> Array:
+        """(n, nodes, components) shape functions at η (n, dim) of facets (n,), redundant nodes eliminated."""
+        return np.einsum("na,niab->nbi", self.shape.tabulate(η)[0], self.T[facet])
+
     @property
     def size(self) -> int:
         """Unknowns on all ranks."""

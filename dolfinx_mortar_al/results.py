@@ -13,6 +13,7 @@ from dolfinx_mortar_al.kinematics import Kinematics
 from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, LawState
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.projection import Projection
+from dolfinx_mortar_al.segments import Segments
 from dolfinx_mortar_al.targets import Target
 
 __all__ = ["PairResults"]
@@ -41,12 +42,13 @@ class PairResults:
     integration: IntegrationPoints
     kinematics: Kinematics
     target: Target
+    segments: Segments | None
     state: LawState
     Λ: Array
     ε: Augmentation
     area: float
-    _last_points: NDArray[np.bool_]
-    _prescribed_points: NDArray[np.bool_]
+    _at_end: NDArray[np.bool_]
+    _prescribed_facets: NDArray[np.bool_]
 
     @property
     def j(self) -> Array:
@@ -124,7 +126,9 @@ class PairResults:
         return float(self.comm.allreduce(float(self.j[points].sum()))) / self.area
 
     def coarse_integration(self) -> Finding | None:
-        """Where closed points lie farther apart than the target facets they face are long (collective)."""
+        """Where closed Gauss points lie farther apart than the target facets they face are long (collective)."""
+        if self.segments is not None:
+            return None
         closed = np.flatnonzero(self.state.status != OPEN)
         ratio = self.target.extents[self.at.point.facet[closed]] / self.integration.spacing[closed]
         k = int(np.argmin(ratio)) if len(ratio) else -1
@@ -138,7 +142,7 @@ class PairResults:
 
     def prescribed_overlap(self) -> Finding | None:
         """Where both surfaces are prescribed and overlap, so that no contact force can part them (collective)."""
-        g = np.where(self._prescribed_points & self.at.facing, self.at.g, -np.inf)
+        g = np.where(self._prescribed_facets[self.integration.facet] & self.at.facing, self.at.g, -np.inf)
         k = int(np.argmax(g)) if len(g) else -1
         mine = (float(g[k]), tuple(self.points()[k].tolist())) if len(g) else (-np.inf, ())
         value, X = max(self.comm.allgather(mine))
@@ -146,9 +150,18 @@ class PairResults:
             Finding(f"{self.name}: overlap (m)", value, X, OVERLAP, True) if value > SHARE * self.target.size else None
         )
 
+    def _last_points(self) -> NDArray[np.bool_]:
+        """(n,) the points next to an end of the contactor."""
+        points = self.integration
+        weight = (points.N * self._at_end[points.facet]).sum(axis=1)
+        nearest = np.zeros(points.facets.size)
+        np.maximum.at(nearest, points.facet, weight)
+        near: NDArray[np.bool_] = (weight > 0.5) & (weight >= nearest[points.facet] - 1e-9)
+        return near
+
     def reaches_end(self) -> bool:
         """Whether a point is closed at the very end of the contactor or of the target (collective)."""
         closed = self.state.status != OPEN
         facets = self.target.facets[self.at.point.facet]
-        at_end = self._last_points | (np.einsum("nk,nk->n", self.at.N, self.target.end_nodes[facets]) > 1 - AT_END)
+        at_end = self._last_points() | (np.einsum("nk,nk->n", self.at.N, self.target.end_nodes[facets]) > 1 - AT_END)
         return bool(self.comm.allreduce(bool((closed & at_end).any()), MPI.LOR))

@@ -82,6 +82,15 @@ class Target(ABC):
         """The target's closest points to 𝐱 (n, gdim), whether they are faced or not."""
 
     @abstractmethod
+    def faced(self, points: ContactorPoints, nodes: Array) -> TargetPoint:
+        """Material points that `points` face, or else the closest ones, with the target's nodes at `nodes` (m)."""
+
+    @property
+    @abstractmethod
+    def nodes(self) -> Array:
+        """(nodes, gdim) where its nodes are now (m)."""
+
+    @abstractmethod
     def weights(self, point: TargetPoint) -> Array:
         """(n, k) shape functions of the target's nodes at material points."""
 
@@ -135,6 +144,10 @@ class DeformableTarget(Target):
     def place(self) -> Place:
         return self._nodes
 
+    @property
+    def nodes(self) -> Array:
+        return self._nodes
+
     def project(self, points: ContactorPoints, place: Place | None = None) -> Projection:
         x, surface = points.x, self.surface
         nodes = self._nodes if place is None else place
@@ -143,6 +156,16 @@ class DeformableTarget(Target):
             return project(surface, nodes, x, self._near(x, nodes))
         table = self._on_rays(x, points.normal, nodes)
         return cast(surface, nodes, x, points.normal, points.tangents, table, self._near)
+
+    def faced(self, points: ContactorPoints, nodes: Array) -> TargetPoint:
+        search = CandidateSearch(self.surface)
+        table = RaySearch(self.surface)(points.x, points.normal, nodes)
+        at = cast(self.surface, nodes, points.x, points.normal, points.tangents, table, search)
+        lost = np.flatnonzero(~at.facing)
+        if len(lost):
+            near = project(self.surface, nodes, points.x[lost], search(points.x[lost], nodes)).point
+            at.point.facet[lost], at.point.η[lost] = near.facet, near.η
+        return at.point
 
     def closest(self, x: Array) -> ClosestPoint:
         return project(self.surface, self._nodes, x, CandidateSearch(self.surface)(x, self._nodes))
@@ -186,6 +209,13 @@ class RigidTarget(Target):
     @property
     def place(self) -> Place:
         return self.obstacle.pose
+
+    @property
+    def nodes(self) -> Array:
+        return np.zeros((0, self.fixed.shape[1]))
+
+    def faced(self, points: ContactorPoints, nodes: Array) -> TargetPoint:
+        return self.obstacle.project(points.x).point
 
     def project(self, points: ContactorPoints, place: Place | None = None) -> Projection:
         return self.obstacle.project(points.x)

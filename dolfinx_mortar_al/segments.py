@@ -1,0 +1,298 @@
+"""Segments: the contactor's facets cut where target facets end, as its rays see them, so that no integrand has a kink inside.
+
+On a curve a segment is an interval between two cuts; on a surface the part of a contactor facet that sees one target facet: a
+polygon, clipped in the contactor facet's own reference coordinates and cut into triangles.
+
+The points follow the bodies from one evaluation to the next; they stay where they are while the ends of the target's facets
+have moved by less than STILL. A cut displaced by δ changes the integral of a continuous integrand by δ²/2 times the jump of
+its slope: Newton's tangent may leave the motion of the points out, and a small δ does not matter (``docs/integration.md``).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import basix
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.clipping import areas, clip, triangulate
+from dolfinx_mortar_al.integration import IntegrationPoints
+from dolfinx_mortar_al.projection import dot, inverse
+from dolfinx_mortar_al.surface import Facets, GatheredFacets, ShapeFunctions, surface_normal
+
+__all__ = ["Segments", "cuts_on_curve", "images_on_curve", "segments_of"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Bool = NDArray[np.bool_]
+
+STILL = 3e-5  # in facets: the root of Newton's tolerance on forces, as a cut's displacement counts squared
+CLOSELY, GROWTH, LAZY = 3, 4.0, 1e-2  # moves of a solve after which STILL grows with each, by this, up to that
+SNAP = 1e-6  # in facets: a cut closer to another, or to a facet's end, is none; its displacement counts squared, too
+NEWTON = 8  # iterations for the ray of a curved facet through a point, or a point of a quadrilateral
+SLIVER = 1e-13  # share of a facet below which a polygon is round-off
+HARDLY = 1e-6  # share of a facet that counts as nothing: seen at all, or seen twice
+
+
+class Segments(ABC):
+    """The points of a pair's segments, where the bodies are now.
+
+    Args:
+        facets: of the contactor, on this rank.
+        target: the target, whole.
+        degree: of the quadrature on each segment.
+        thickness: out of the plane (m).
+    """
+
+    def __init__(self, facets: Facets, target: GatheredFacets, degree: int, thickness: float) -> None:
+        self._facets, self._target = facets, target
+        self._degree, self._thickness = degree, thickness
+        own = np.linalg.norm(np.ptp(facets.X, axis=1), axis=1).max(initial=0.0)
+        #: farther from the contactor (m) an end of a target facet makes no cut: nothing is closed there
+        self._reach = max(target.size_of_facets, float(own))
+        self._x1, self._x2 = facets.X, target.X
+        self.begin()
+        self.forget()
+
+    def begin(self) -> None:
+        """A new solve: points follow closely at first, and less and less as they are moved again."""
+        self._moves = 0
+
+    @property
+    def _still(self) -> float:
+        """Motion of cuts (in facets) up to which points stay."""
+        return float(min(STILL * GROWTH ** max(self._moves - CLOSELY, 0), LAZY))
+
+    def forget(self) -> None:
+        """Make new points next time, whether anything has moved or not."""
+        self._couples: tuple[Index, Index] | None = None
+
+    def follow(self, contactor: Array, target: Array) -> IntegrationPoints | None:
+        """New points, if they have to move; `contactor` (nf, nodes, gdim) and `target` (nodes, gdim): nodes now (m)."""
+        fresh = self._find_couples(contactor, target)
+        assert self._couples is not None
+        images, near = self._images(*self._couples, contactor, target)
+        if not fresh:
+            seen = near | self._near
+            if np.abs(images[seen] - self._seen[seen]).max(initial=0.0) <= self._still:
+                return None
+            self._moves += 1
+        self._seen: Array = images
+        self._near: Bool = near
+        return self._points(self._couples[0][near], self._couples[1][near], images[near])
+
+    def _find_couples(self, contactor: Array, target: Array) -> bool:
+        """Bring up to date which facets may be cut by which ends of the target; whether that was due."""
+        margin = 0.5 * self._reach
+        if self._couples is not None:
+            moved = [np.abs(now - then).max(initial=0.0) for now, then in ((contactor, self._x1), (target, self._x2))]
+            if max(moved) <= margin / 8:
+                return False
+        self._x1, self._x2 = contactor.copy(), target.copy()
+        centre, radius = _ball(contactor)
+        other, size = self._ends(target)
+        self._couples = _near_balls(centre, radius + self._reach + margin, other, size)
+        return True
+
+    @abstractmethod
+    def _ends(self, target: Array) -> tuple[Array, Array]:
+        """Balls around what may cut a facet: centres (ne, gdim) and radii (ne,) in m."""
+
+    @abstractmethod
+    def _images(self, facet: Index, end: Index, contactor: Array, target: Array) -> tuple[Array, Bool]:
+        """Of each couple (m,), where on the facet the end is seen (m, …), and whether it may cut it."""
+
+    @abstractmethod
+    def _points(self, facet: Index, end: Index, images: Array) -> IntegrationPoints:
+        """Points of the segments between the images (m, …) of ends (m,) on facets (m,)."""
+
+
+def segments_of(facets: Facets, target: GatheredFacets, degree: int, thickness: float) -> Segments:
+    """Segments for a contactor of either dimension, as :class:`Segments`."""
+    kind = _Intervals if facets.shape.dim == 1 else _Polygons
+    return kind(facets, target, degree, thickness)
+
+
+def _ball(facets: Array) -> tuple[Array, Array]:
+    """Centre and radius (m) of balls around facets with nodes (nf, k, gdim)."""
+    centre = facets.mean(axis=1)
+    # a facet of order 2 stays within 1.25 times the hull of its nodes seen from their mean
+    return centre, 1.25 * np.linalg.norm(facets - centre[:, None], axis=2).max(axis=1, initial=0.0)
+
+
+def _near_balls(a: Array, radius_a: Array, b: Array, radius_b: Array) -> tuple[Index, Index]:
+    """Couples of balls that meet."""
+    rows: list[NDArray[Any]] = [np.zeros(0, dtype=np.int64)]
+    columns: list[NDArray[Any]] = [np.zeros(0, dtype=np.int64)]
+    batch = max(1, 2**20 // max(len(b), 1))
+    for first in range(0, len(a), batch):
+        part = slice(first, first + batch)
+        squared = sum((a[part, None, i] - b[None, :, i]) ** 2 for i in range(a.shape[1]))
+        i, j = np.nonzero(squared <= (radius_a[part, None] + radius_b) ** 2)
+        rows.append(first + i)
+        columns.append(j)
+    return np.concatenate(rows), np.concatenate(columns)
+
+
+# -------------------------------------------------------------------- on a curve
+
+
+class _Intervals(Segments):
+    """Intervals between the rays through the target's vertices."""
+
+    def _ends(self, target: Array) -> tuple[Array, Array]:
+        self._vertices = np.unique(self._target.facets[:, np.concatenate(self._target.shape.sides)])
+        return target[self._vertices], np.zeros(len(self._vertices))
+
+    def _images(self, facet: Index, end: Index, contactor: Array, target: Array) -> tuple[Array, Bool]:
+        η, d = images_on_curve(self._facets.shape, contactor[facet], target[self._vertices[end]])
+        return η, (np.abs(d) <= self._reach) & (np.abs(η - 0.5) <= 0.5)
+
+    def _points(self, facet: Index, end: Index, images: Array) -> IntegrationPoints:
+        facet, first, last = cuts_on_curve(facet, images, self._facets.size)
+        ξ, weight = self._facets.shape.quadrature(self._degree)
+        length = (last - first)[:, None]
+        points = (first[:, None] + length * ξ[:, 0]).reshape(-1, 1)
+        weights = (length * weight).ravel()
+        return IntegrationPoints(self._facets, np.repeat(facet, len(weight)), points, weights, self._thickness)
+
+
+def images_on_curve(shape: ShapeFunctions, nodes: Array, y: Array) -> tuple[Array, Array]:
+    """Where the rays of curved facets with `nodes` (n, k, 2) pass through 𝐲 (n, 2): η (n,), infinite where none does near the
+    facet, and the signed distance d (n,) along the normal's line (m)."""
+    powers = np.linalg.inv(shape.nodes ** np.arange(shape.order + 1))  # 𝐱(η) = Σ_k 𝐜_k η^k
+    c0, c1, *rest = np.moveaxis(powers @ nodes, 1, 0)
+    chord = c1 + rest[0] if rest else c1
+    η = dot(y - c0, chord) / dot(chord, chord)
+    outside = np.abs(η - 0.5) > 1.5  # so far off that a curved facet's rays mean nothing
+    a, r = c1, y - c0 - c1 * η[:, None]
+    if rest:
+        η = np.clip(η, -1.0, 2.0)
+        for _ in range(NEWTON):
+            a, r = c1 + 2 * rest[0] * η[:, None], y - c0 - (c1 + rest[0] * η[:, None]) * η[:, None]
+            slope = 2 * dot(r, rest[0]) - dot(a, a)
+            step = np.clip(-dot(r, a) / np.where(slope == 0.0, -1.0, slope), -0.5, 0.5)
+            if np.max(np.abs(step)[~outside], initial=0.0) <= SNAP**2:
+                break
+            η = np.clip(η + step, -1.0, 2.0)
+        outside |= np.abs(step) > SNAP
+    d = (r[:, 0] * a[:, 1] - r[:, 1] * a[:, 0]) / np.linalg.norm(a, axis=1)
+    return np.where(outside, np.inf, η), d
+
+
+def cuts_on_curve(facet: Index, η: Array, size: int) -> tuple[Index, Array, Array]:
+    """Intervals between cuts at η (n,) in [0, 1] of facets (n,) out of `size`: facet, first and last η of each (m,)."""
+    all_facets = np.arange(size)
+    owner, at = np.concatenate([facet, all_facets, all_facets]), np.concatenate([η, np.zeros(size), np.ones(size)])
+    order = np.lexsort([at, owner])
+    owner, at = owner[order], at[order]
+    at = np.where(at > 1.0 - SNAP, 1.0, at)  # ends win over cuts that are close
+    keep = np.r_[True, (np.diff(owner) > 0) | (np.diff(at) > SNAP)] if len(at) else np.zeros(0, dtype=bool)
+    owner, at = owner[keep], at[keep]
+    same = np.flatnonzero(np.diff(owner) == 0)
+    return owner[same], at[same], at[same + 1]
+
+
+# -------------------------------------------------------------------- on a surface
+
+
+class _Polygons(Segments):
+    """Polygons: target facets as seen along each contactor facet's mean normal, in the coordinates of its mean tangents.
+
+    On flat triangles and parallelograms these are the reference coordinates; on other facets they are off by a share of
+    their size that shrinks with it, and so are the cuts (``docs/integration.md``). What the target leaves over of a facet it
+    covers in part is left out: the multiplier has nothing to enforce there.
+    """
+
+    def __init__(self, facets: Facets, target: GatheredFacets, degree: int, thickness: float) -> None:
+        own, other = facets.shape.corners, target.shape.corners
+        self._loop, self._other_loop = _loop(own), _loop(other)
+        # the corners' own shape functions at the facet's middle
+        self._linear = ShapeFunctions(facets.shape.cell, 1)
+        self._dN = self._linear.tabulate(own.mean(axis=0)[None], 1)[1][0]
+        self._triangle = ShapeFunctions(basix.CellType.triangle, 1)
+        self._area = 1.0 if len(own) == 4 else 0.5
+        super().__init__(facets, target, degree, thickness)
+
+    def _ends(self, target: Array) -> tuple[Array, Array]:
+        return _ball(target[self._target.facets])
+
+    def _chart(self, contactor: Array) -> tuple[Array, Array, Array]:
+        """Of each facet's corners: centre (nf, 3), outward unit normal (nf, 3) and contravariant tangents (nf, 2, 3)."""
+        corners = contactor[:, : len(self._facets.shape.corners)]
+        a = self._dN @ corners
+        normal = surface_normal(a) * self._facets.orientation[:, None]
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        return corners.mean(axis=1), normal, np.linalg.inv(a @ np.swapaxes(a, 1, 2)) @ a
+
+    def _images(self, facet: Index, end: Index, contactor: Array, target: Array) -> tuple[Array, Bool]:
+        centre, normal, dual = self._chart(contactor)
+        middle = self._facets.shape.corners.mean(axis=0)
+        corners = target[self._target.facets[end][:, self._other_loop]]
+        r = corners - centre[facet, None]
+        image = middle + r @ np.swapaxes(dual[facet], 1, 2)
+        d = (r @ normal[facet][:, :, None])[:, :, 0]
+        own = contactor[:, self._loop] - centre[:, None]
+        #: (nf, corners, 2) the facets' own corners in these coordinates
+        self._window: Array = middle + own @ np.swapaxes(dual, 1, 2)
+        low, high = self._window.min(axis=1)[facet], self._window.max(axis=1)[facet]
+        near = ((image.min(axis=1) < high - SNAP) & (image.max(axis=1) > low + SNAP)).all(axis=1)
+        return image, near & (np.abs(d).min(axis=1) <= self._reach)
+
+    def _points(self, facet: Index, end: Index, images: Array) -> IntegrationPoints:
+        turn = areas(images, np.full(len(images), images.shape[1]))
+        facing = turn * self._facets.orientation[facet] * self._target.orientation[end] < 0.0
+        facet, images, turn = facet[facing], images[facing], turn[facing]
+        images[turn < 0.0] = images[turn < 0.0, ::-1]
+        polygons, count = clip(images, self._window[facet])
+        polygons = self._to_reference(self._window[facet], polygons)
+        area = areas(polygons, count) / self._area
+        real = (count > 2) & (area > SLIVER)
+        covered = np.bincount(facet[real], area[real], minlength=self._facets.size)
+        # where the target is seen twice, layer behind layer, or all but not at all: plain Gauss points
+        plain = (covered > 1.0 + HARDLY) | (covered < HARDLY)
+        real &= ~plain[facet]
+        row, triangles = triangulate(polygons[real], count[real])
+        parts = [self._on_triangles(facet[real][row], triangles), self._on_whole(np.flatnonzero(plain))]
+        owner, η, weight = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        order = np.argsort(owner, kind="stable")
+        return IntegrationPoints(self._facets, owner[order], η[order], weight[order], self._thickness)
+
+    def _to_reference(self, window: Array, polygons: Array) -> Array:
+        """Reference coordinates of vertices (m, v, 2) given in those of the mean tangents, where the facets' corners in order
+        are `window` (m, corners, 2)."""
+        if window.shape[1] == 3:
+            return polygons
+        nodes = np.empty_like(window)
+        nodes[:, self._loop] = window
+        η = polygons.copy()
+        for _ in range(NEWTON):
+            N, dN = self._linear.tabulate(η.reshape(-1, 2), 1)
+            N, dN = N.reshape(*η.shape[:2], -1), dN.reshape(*η.shape[:2], 2, -1)
+            A = np.swapaxes(dN @ nodes[:, None], 2, 3)
+            step = (inverse(A.reshape(-1, 2, 2)).reshape(A.shape) @ (polygons - N @ nodes)[..., None])[..., 0]
+            η += step
+            if np.abs(step).max(initial=0.0) <= SLIVER:
+                break
+        return η
+
+    def _on_triangles(self, facet: Index, triangles: Array) -> tuple[Index, Array, Array]:
+        """Facet, η and weight of the points of triangles (m, 3, 2) in the reference facet."""
+        ξ, weight = self._triangle.quadrature(self._degree)
+        η = self._triangle.tabulate(ξ)[0] @ triangles
+        side = triangles[:, 1:] - triangles[:, :1]
+        jacobian = side[:, 0, 0] * side[:, 1, 1] - side[:, 0, 1] * side[:, 1, 0]
+        return np.repeat(facet, len(weight)), η.reshape(-1, 2), (jacobian[:, None] * weight).ravel()
+
+    def _on_whole(self, facet: Index) -> tuple[Index, Array, Array]:
+        """The same of the Gauss points of whole facets."""
+        η, weight = self._facets.shape.quadrature(self._degree)
+        return np.repeat(facet, len(weight)), np.tile(η, (len(facet), 1)), np.tile(weight, len(facet))
+
+
+def _loop(corners: Array) -> Index:
+    """The corners of a reference facet in anticlockwise order."""
+    arm = corners - corners.mean(axis=0)
+    return np.asarray(np.argsort(np.arctan2(arm[:, 1], arm[:, 0])))
