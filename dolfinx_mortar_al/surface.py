@@ -16,6 +16,7 @@ import basix
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
+from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.validation import are_tags_of, vector, whole
@@ -203,8 +204,9 @@ class Facets:
         else:
             outward = X.mean(axis=1) - x[V.dofmap.list[cells]].mean(axis=1)
         normal = surface_normal(tangents)
-        areas = _areas(shape, X)
-        if surface.mesh.comm.allreduce(int(np.sum(~(areas > 1e-10 * np.max(areas, initial=0.0))))):
+        areas, comm = _areas(shape, X), surface.mesh.comm
+        largest = comm.allreduce(float(areas.max(initial=0.0)), MPI.MAX)
+        if comm.allreduce(int(np.sum(~(areas > 1e-10 * largest)))):
             raise ValueError(f"tag {surface.tag} marks facets without area: mesh the surface again")
         cosine = np.einsum("fi,fi->f", normal, outward)
         flat = np.abs(cosine) <= 1e-6 * np.linalg.norm(normal, axis=1) * np.linalg.norm(outward, axis=1)
