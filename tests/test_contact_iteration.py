@@ -33,7 +33,7 @@ def test_the_equilibrium_is_that_of_plain_newton_steps(friction, monkeypatch):
 
 @pytest.mark.parametrize("cells", [4, 7])
 def test_iterations_do_not_grow_with_the_mesh(cells):
-    """A punch pressed into a slab in space: the edge of contact has nearly twice as many facets to go, Newton takes 3 to 4 iterations."""
+    """A punch pressed into a slab in space: with nearly twice as many facets to go Newton takes 3 to 4 iterations, too."""
     scene = ironing.Scene(dim=3, cells=cells, order=1, steps=(3, 0))
     steps = [step for _, step in ironing.iron(scene, *ironing.build(scene, {}))]
     assert max(step.iterations for step in steps) <= 4
