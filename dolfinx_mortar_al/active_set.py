@@ -125,6 +125,14 @@ class ActiveSet:
         λ = np.where(kinematics.may_close & ~self._left, state.λN_hat, 0.0)
         return np.maximum(np.where(self.closed, -λ, λ) - εN * kinematics.touch, 0.0)
 
+    def snapshot(self) -> tuple[Bool, Index, bool]:
+        """What :meth:`decide` may change."""
+        return self.closed.copy(), self._losses.copy(), self._weak_may_open
+
+    def restore(self, saved: tuple[Bool, Index, bool]) -> None:
+        """Take decisions back."""
+        self.closed, self._losses, self._weak_may_open = saved
+
     # ---------------------------------------------------------------- friction bounds
 
     def freeze(self, state: LawState, μ: float) -> None:

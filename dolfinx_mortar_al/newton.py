@@ -19,6 +19,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from dolfinx_mortar_al.contact_iteration import ContactIteration
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.validation import check_callable, number, whole
 
@@ -152,6 +153,7 @@ class NewtonSolver:
         self.problem, self.rtol = problem, number("rtol", rtol, above=0.0, below=1.0)
         self._max_iterations, self._prefix = whole("max_iterations", max_iterations, least=1), prefix
         self._workspace = WORKSPACE
+        self.contact_iteration = ContactIteration(problem, self._size)
         self.snes = self._create()
 
     def _create(self) -> PETSc.SNES:
@@ -248,7 +250,7 @@ class NewtonSolver:
     # ---------------------------------------------------------------- callbacks
 
     def _function(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        self.problem.assemble_residual(x, f)
+        self.problem.assemble_residual(x, f, evaluated=self.contact_iteration.has_evaluated(x))
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         self.problem.tension = self._fictitious_tension()
@@ -303,8 +305,13 @@ class NewtonSolver:
         last = [max(norms) for norms in self.result.norms[-3:]]
         return len(last) == 3 and max(last) <= ROUND_OFF and last[2] > 0.5 * last[1] and last[1] > 0.5 * last[0]
 
+    def _size(self, f: PETSc.Vec) -> float:
+        """The residual f in units of its tolerance (collective)."""
+        return max(self.problem.residual_ratios(f.getNestSubVecs(), self.rtol, corrected=True))
+
     def _update(self, snes: PETSc.SNES, iteration: int) -> None:
         """At the start of an iteration the active sets change, and the residual with them."""
+        self.problem.follow(snes.getFunction()[0])
         if self.problem.decide(snes.getFunction()[0]):
             self._set_since = iteration
 
@@ -384,7 +391,24 @@ class NewtonSolver:
             self._path.load.value += length * change
         if length < 1.0:
             y.scale(length)
-        return length < 1.0 or self._path is not None
+        improved = length == 1.0 and self._path is None and not p.tension and self._improve(x, y)
+        return improved or length < 1.0 or self._path is not None
+
+    def _improve(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
+        """Let contact settle on the linearised bulk; whether the step x ← x − y is another than Newton's now. It is not where
+        it would invert a cell or move a node by more than LONGEST facets."""
+        p = self.problem
+        with p.stopwatch("contact iteration"):
+            change = self.contact_iteration.improve(x, y, self.snes.getKSP().getPC(), max(self.result.norms[-1]))
+            if change is None:
+                return False
+            yu = y.getNestSubVecs()[0].array_r + change.getNestSubVecs()[0].array_r
+            p.bodies.set(x.getNestSubVecs()[0].array_r - yu)
+            if p.longest_motion(change.getNestSubVecs()[0].array_r) > LONGEST or p.inverted_volume() > 0:
+                self.contact_iteration.undo()
+                return False
+            y.axpy(1.0, change)
+        return True
 
     def _note_stability(self) -> None:
         """Remember the sign of the Jacobian's determinant, as MUMPS has it: positive at a stable equilibrium."""

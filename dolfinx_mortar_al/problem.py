@@ -170,6 +170,8 @@ class ContactProblem:
         self._diagonals = diagonals
         #: some unprescribed displacement meets no stiffness, as a flat membrane's across it; until a step has converged
         self.limp = self.bodies.is_limp(diagonals)
+        #: contact's element matrices in blocks[0][0]
+        self._contact_share: list[tuple[Index, Index, Array]] = []
         #: a fictitious tension in the Jacobian, as a share of the stiffness (no part of the residual)
         self.tension, self._tension_matrix = 0.0, None
         #: springs on the pieces that contact alone holds, in the Jacobian only: (N/m) and the share of them in use
@@ -182,7 +184,8 @@ class ContactProblem:
         self._make_nest()
         self.x = PETSc.Vec().createNest([layout.vector() for layout in self._layouts], comm=self.comm)
         self.residual = self.x.duplicate()
-        self._bulk = self.bodies.layout.vector()
+        #: the bulk's forces at the last evaluation (N)
+        self.bulk_forces = self.bodies.layout.vector()
         return diagonals
 
     def _grow_pattern(self) -> None:
@@ -235,20 +238,20 @@ class ContactProblem:
             part.array[:] = pair.multiplier.field.x.array[: part.getLocalSize()] / pair.unit
         x.assemble()
 
-    def assemble_residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
+    def assemble_residual(self, x: PETSc.Vec, f: PETSc.Vec, *, evaluated: bool = False) -> None:
         """The left-hand side of eq. (3) at x with the active sets as they are: forces, and k times the multipliers'
-        residual (N)."""
+        residual (N); `evaluated` if the pairs are up to date with x."""
         self.unpack(x)
         with self.stopwatch("bulk"):
-            self.force_scale = self.bodies.residual(self._bulk)
-        for pair in self.pairs:
-            pair.evaluate()
-        self._add_contact(f)
+            self.force_scale = self.bodies.residual(self.bulk_forces)
+        if not evaluated:
+            self.evaluate()
+        self.add_contact(f)
 
-    def _add_contact(self, f: PETSc.Vec) -> None:
+    def add_contact(self, f: PETSc.Vec) -> None:
         """f ← the bulk's forces and those of contact, as last evaluated."""
         parts = f.getNestSubVecs()
-        self._bulk.copy(parts[0])
+        self.bulk_forces.copy(parts[0])
         with self.stopwatch("contact"):
             for pair, part in zip(self.pairs, parts[1:], strict=True):
                 part.set(0.0)  # and stays so at redundant nodes, whose value is 0 and whose row is diagonal
@@ -264,34 +267,45 @@ class ContactProblem:
         point opened or closed (collective)."""
         parts = f.getNestSubVecs()
         with self.stopwatch("contact"):
-            followed = [pair.kinematics.follow() for pair in self.pairs]
-            if any(followed):
-                for pair in self.pairs:
-                    pair.apply_law()
             changed = [pair.decide(part) for pair, part in zip(self.pairs, parts[1:], strict=True)]
-            if not any(changed) and not any(followed):
+            if not any(changed):
                 return False
             for pair in self.pairs:
                 pair.apply_law()
-        self._add_contact(f)
+        self.add_contact(f)
         return True
 
+    def follow(self, f: PETSc.Vec) -> None:
+        """At the start of a Newton iteration let the pairs choose anew what they hold in between (collective)."""
+        if any([pair.kinematics.follow() for pair in self.pairs]):
+            self.reconsider(f)
+
     def reconsider(self, f: PETSc.Vec) -> None:
-        """Bring the residual f up to date with friction bounds that were frozen or freed."""
+        """Bring the residual f up to date with friction bounds that were frozen or freed, or other choices of the pairs."""
         for pair in self.pairs:
             pair.apply_law()
-        self._add_contact(f)
+        self.add_contact(f)
 
-    def assemble_jacobian(self) -> None:
-        """The derivative of the residual at the state last evaluated."""
+    def bulk_jacobian(self) -> PETSc.Mat:
+        """The displacements' block of the Jacobian last assembled, without contact's share, at the same state."""
+        bulk = self.blocks[0][0].copy()
+        for elements in self._contact_share:
+            insert(bulk, *elements, -1.0)
+        bulk.assemble()
+        return bulk
+
+    def assemble_jacobian(self, bulk: PETSc.Mat | None = None) -> None:
+        """The derivative of the residual at the state last evaluated, or with `bulk` for the bulk's share."""
         with self.stopwatch("contact"):
             self._grow_pattern()
             for row in self.blocks:
                 for block in row:
                     if block is not None:
                         block.zeroEntries()
+            self._contact_share = []
             for k, pair in enumerate(self.pairs, start=1):
                 element, unit = pair.tangent(), pair.unit
+                self._contact_share.append(element.UU)
                 insert(self.blocks[0][0], *element.UU)
                 insert(self.blocks[0][k], *element.UΛ, unit)
                 insert(self.blocks[k][0], *element.ΛU, unit)
@@ -299,17 +313,25 @@ class ContactProblem:
                 idle = pair.multiplier.idle
                 self.blocks[k][k].setValuesRCV(idle[:, None], idle[:, None], np.full((len(idle), 1, 1), unit), _ADD)
         with self.stopwatch("bulk"):
-            self.bodies.assemble_jacobian(self.blocks[0][0])
-            if self.tension:
-                self._add_tension()
-            if self.springs is not None:
-                self._add_springs()
+            if bulk is None:
+                self._add_bulk()
+            else:
+                self.blocks[0][0].assemble()
+                self.blocks[0][0].axpy(1.0, bulk, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         with self.stopwatch("contact"):
             for row in self.blocks:
                 for block in row:
                     if block is not None:
                         block.assemble()
             self.matrix.assemble()
+
+    def _add_bulk(self) -> None:
+        """Add the bulk's derivative, and what helps singular Jacobians."""
+        self.bodies.assemble_jacobian(self.blocks[0][0])
+        if self.tension:
+            self._add_tension()
+        if self.springs is not None:
+            self._add_springs()
 
     def findings(self) -> list[Finding]:
         """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse or whose

@@ -1,0 +1,142 @@
+"""Contact on the linearised bulk: what keeps the number of Newton iterations from growing with the mesh.
+
+A Newton step linearises the bulk and the state of contact at once. The edge of contact, or of stick, moves by a facet or two
+in a step; where it has many to go the bulk's forces are in balance long since. Josephy's generalisation of Newton's method
+(S. M. Robinson, Math. Oper. Res. 5, 1980) linearises what is smooth, and that only: with the bulk's forces R and their
+derivative K at 𝐱_k it asks for x with
+
+    R + K (x − 𝐱_k) + contact(x) = 0,
+
+contact as it is. Newton's step is the first semi-smooth step towards that x; the others follow here. Their matrices differ by
+contact's share alone from the one that has been factorised, by a low rank where few points have changed their state: GMRES
+with the factors at hand for preconditioner takes few iterations, and no form is assembled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from petsc4py import PETSc
+
+from dolfinx_mortar_al.problem import ContactProblem
+
+__all__ = ["ContactIteration"]
+
+ENOUGH = 0.01  # of the residual that Newton's step started from: the bulk's nonlinearity leaves as much
+LINEAR = 0.1  # relative tolerance of GMRES: the edge moves the same way with 1e-3, for twice the solves
+COSTS = 3.0  # factorisations that all the solves of a Newton step may cost
+SLOWER = 10.0  # times that an operation of a solve takes as long as one of a factorisation: it waits for the memory
+SOLVES = 20  # of a Newton step, where the solver does not say how many operations it needs
+
+
+class _Factors:
+    """PETSc's interface of a preconditioner: the factors of an earlier matrix."""
+
+    factors: PETSc.Mat
+
+    def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        self.factors.solve(b, x)
+
+
+class ContactIteration:
+    """Improves Newton steps x ← x − y.
+
+    Args:
+        problem: in a step, its Jacobian has been assembled at x and its pairs were last evaluated there.
+        size: of a residual, in units of its tolerance.
+
+    Attributes:
+        steps: taken so far; solves: with the factors that they took.
+    """
+
+    def __init__(self, problem: ContactProblem, size: Callable[[PETSc.Vec], float]) -> None:
+        self.problem, self._size = problem, size
+        self.steps = self.solves = 0
+        self._z, self._step, self._total = (problem.x.duplicate() for _ in range(3))
+        self._f, self._forces = problem.residual.duplicate(), problem.bulk_forces.duplicate()
+        self._at_z = False
+        self._factors = _Factors()
+        self._ksp = PETSc.KSP().create(problem.comm)
+        self._ksp.setType("gmres")
+        self._ksp.getPC().setType("python")
+        self._ksp.getPC().setPythonContext(self._factors)
+
+    def has_evaluated(self, x: PETSc.Vec) -> bool:
+        """Whether the pairs were last evaluated here, and at x (collective); asked once."""
+        known, self._at_z = self._at_z, False
+        if known:
+            self._z.axpy(-1.0, x)
+            known = bool(self._z.norm(PETSc.NormType.NORM_INFINITY) == 0.0)
+        return known
+
+    def improve(self, x: PETSc.Vec, y: PETSc.Vec, pc: PETSc.PC, start: float) -> PETSc.Vec | None:
+        """What to add to y so that contact settles on the linearised bulk; None if it has (collective).
+
+        `pc` has the Jacobian's factors, `start` is the size of the residual at x.
+        """
+        p, z, enough = self.problem, self._z, max(1.0, ENOUGH * start)
+        self._sets, before = [pair.active.snapshot() for pair in p.pairs], p.contact_pattern()
+        p.bulk_forces.copy(self._forces)
+        z.waxpy(-1.0, y, x)
+        self._evaluate()
+        self._at_z, patterns = True, [p.contact_pattern()]
+        if patterns[0] == before:
+            return None
+        bulk, left = p.bulk_jacobian(), _affordable_solves(pc)
+        self._total.set(0.0)
+        size = self._balance(bulk, y)
+        self._factors.factors = pc.getFactorMatrix()
+        while left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
+            p.assemble_jacobian(bulk)
+            left -= self._solve(left)
+            self._total.axpy(1.0, self._step)
+            z.axpy(-1.0, self._step)
+            self._evaluate()
+            self._step.waxpy(1.0, y, self._total)
+            size = self._balance(bulk, self._step)
+            patterns.append(p.contact_pattern())
+        bulk.destroy()
+        if len(patterns) == 1:
+            return None
+        self._at_z = False
+        return self._total
+
+    def undo(self) -> None:
+        """Take back the decisions of :meth:`improve`."""
+        for pair, saved in zip(self.problem.pairs, self._sets, strict=True):
+            pair.active.restore(saved)
+
+    def _evaluate(self) -> None:
+        """Bring the pairs and their active sets up to date with z."""
+        p = self.problem
+        p.unpack(self._z)
+        p.evaluate()
+        p.add_contact(self._f)
+        p.decide(self._f)
+
+    def _balance(self, bulk: PETSc.Mat, y: PETSc.Vec) -> float:
+        """In f the residual at x − y, its bulk linear from x on; returns its size."""
+        p = self.problem
+        bulk.mult(y.getNestSubVecs()[0], p.bulk_forces)
+        p.bulk_forces.aypx(-1.0, self._forces)
+        p.add_contact(self._f)
+        return self._size(self._f)
+
+    def _solve(self, most: int) -> int:
+        """A semi-smooth step, by no more than `most` solves with the factors; how many it took."""
+        self._ksp.setTolerances(rtol=LINEAR, max_it=most)
+        self._ksp.setGMRESRestart(most)
+        self._ksp.setOperators(self.problem.matrix)
+        self._ksp.solve(self._f, self._step)
+        solves = self._ksp.getIterationNumber() + 1
+        self.steps, self.solves = self.steps + 1, self.solves + solves
+        return int(solves)
+
+
+def _affordable_solves(pc: PETSc.PC) -> int:
+    """How many solves with the factors cost as much as COSTS factorisations."""
+    if pc.getFactorSolverType() != "mumps":
+        return SOLVES
+    factors = pc.getFactorMatrix()
+    entries = factors.getMumpsInfog(29)  # in millions, if negative
+    return int(COSTS / SLOWER * factors.getMumpsRinfog(3) / (2 * (entries if entries > 0 else -1e6 * entries)))
