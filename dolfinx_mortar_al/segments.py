@@ -270,7 +270,7 @@ class _Polygons(Segments):
         η = polygons.copy()
         for _ in range(NEWTON):
             N, dN = self._linear.tabulate(η.reshape(-1, 2), 1)
-            N, dN = N.reshape(*η.shape[:2], -1), dN.reshape(*η.shape[:2], 2, -1)
+            N, dN = N.reshape(*η.shape[:2], 4), dN.reshape(*η.shape[:2], 2, 4)
             A = np.swapaxes(dN @ nodes[:, None], 2, 3)
             step = (inverse(A.reshape(-1, 2, 2)).reshape(A.shape) @ (polygons - N @ nodes)[..., None])[..., 0]
             η += step
