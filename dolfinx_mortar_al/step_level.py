@@ -296,9 +296,8 @@ class StepLevel(Kinematics):
         slide = np.broadcast_to(slots.slot("x") - slots.slot("w"), (len(act), d, slots.size))
         if own:
             now = self.contactor()
-            slide = slide - _carry(
-                Lever.of(now.tangents[act], now.normal[act], now.x[act] - end.y), slots.derivatives("x")
-            )
+            lever = Lever.of(now.tangents[act], now.normal[act], now.x[act] - end.y)
+            slide = slide - lever.carry_map(slots.derivatives("x"))
         νν = end.ν[:, :, None] * end.ν[:, None]
         held = (hold & (state.status == STICK))[act, None, None]
         P = (np.eye(d) - νν) * held
