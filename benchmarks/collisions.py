@@ -153,8 +153,7 @@ class Watched:
 
 def watch(scene: Collision, to: float, size: float, *, free: bool = True) -> Watched:
     """Run a collision to a time; `size` (m) is that of a facet of the contactor, `free` whether momentum is to stay."""
-    for watched in watch_steps(scene, to, size, free=free):
-        pass
+    *_, watched = watch_steps(scene, to, size, free=free)
     return watched
 
 
@@ -175,7 +174,9 @@ def watch_steps(scene: Collision, to: float, size: float, *, free: bool = True) 
             seen.deepest = max(seen.deepest, step.penetration / size)
             seen.mean_gap = max(seen.mean_gap, mean_gap(pair) / size)
             now_lost = ledger.impact_loss, ledger.friction_dissipation
-            seen.worst_gain = min(seen.worst_gain, *((b - a) / seen.energy for a, b in zip(last, now_lost, strict=True)))
+            seen.worst_gain = min(
+                seen.worst_gain, *((b - a) / seen.energy for a, b in zip(last, now_lost, strict=True))
+            )
             seen.loss, seen.friction = last = now_lost
             seen.defect = max(seen.defect, abs(ledger.energy_defect) / seen.energy)
             seen.steps, seen.iterations = seen.steps + 1, seen.iterations + step.iterations

@@ -4,13 +4,13 @@
     ./run python3 benchmarks/two_discs.py --friction 0.4 --sizes 0.015 --steps 1e-3 5e-4
     ./run python3 benchmarks/two_discs.py --family 1 --scenes 40
 
-Discs of R = 0.1 m, neo-Hookean, E = 1e6 Pa, ν = 0.3, ρ = 1000 kg/m³, with velocities (±0.5, ±2) m/s, centres 0.08 m apart across
-them; P2 elements of h and 1.3 h, 0.06 s. Shares of energy are of E₀; penetration is of h: "deepest" at a closed point, "mean"
+Discs of R = 0.1 m, neo-Hookean, E = 1e6 Pa, ν = 0.3, ρ = 1000 kg/m³, with velocities (±0.5, ±2) m/s, centres 0.08 m
+off; P2 elements of h and 1.3 h, 0.06 s. Shares of energy are of E₀; penetration is of h: "deepest" at a closed point, "mean"
 the weighted gap of a multiplier's node, which the method holds. Restitution is that along the line of centres at the
 start. Seconds are of CPU.
 
-The family: discs, rings, a block on a ring; μ 0 … 1, ratio of stiffness 1 … 1000, relative speed 0.01 … 0.5 of the softer body's
-wave speed, Δt 0.05 … 2 of h over the relative speed, P1 and P2. A scene is sound if energy never exceeds E₀ (1 + 1e-9),
+The family: discs, rings, a block on a ring; μ 0 … 1, ratio of stiffness 1 … 1000, relative speed 0.01 … 0.5 of the softer
+body's wave speed, Δt 0.05 … 2 of h over the relative speed, P1 and P2. A scene is sound if energy never exceeds E₀ (1 + 1e-9),
 contact never gives energy, and both momenta stay to 1e-10; a march may end early, but only by saying so.
 """
 
@@ -71,7 +71,11 @@ def drawn(rng: np.random.Generator) -> tuple[str, Collision, float, float]:
     """A scene at random: (in words, scene, time to run, size of the contactor's facets)."""
     kind = str(rng.choice(["discs", "rings", "block on ring"]))
     friction, ratio = float(rng.choice([0.0, rng.uniform(0, 1)])), 10 ** rng.uniform(0, 3)
-    speed, courant, order = 10 ** rng.uniform(-2, math.log10(0.5)), 10 ** rng.uniform(math.log10(0.05), math.log10(2)), int(rng.choice([1, 2]))
+    speed, courant, order = (
+        10 ** rng.uniform(-2, math.log10(0.5)),
+        10 ** rng.uniform(math.log10(0.05), math.log10(2)),
+        int(rng.choice([1, 2])),
+    )
     c = math.sqrt(1e6 * (1 - NU) / (DENSITY * (1 + NU) * (1 - 2 * NU)))
     h, v, offset, gap = R / 5, speed * c, float(rng.uniform(-0.9, 0.9)), 0.02 * R
     step = courant * h / v
@@ -91,7 +95,9 @@ def drawn(rng: np.random.Generator) -> tuple[str, Collision, float, float]:
     if rng.random() < 0.5:
         bodies = bodies[::-1]
     steps = min(LONGEST, max(10, math.ceil((8 * R / c + 4 * gap / v) / step)))
-    words = f"{kind}, P{order}, μ {friction:.2f}, ratio {stiff[1] / stiff[0]:.3g}, v/c {speed:.3g}, Δt v/h {courant:.3g}"
+    words = (
+        f"{kind}, P{order}, μ {friction:.2f}, ratio {stiff[1] / stiff[0]:.3g}, v/c {speed:.3g}, Δt v/h {courant:.3g}"
+    )
     return words, Collision(bodies, step, friction, order), steps * step, h
 
 
