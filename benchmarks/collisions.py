@@ -153,8 +153,7 @@ class Watched:
 
 def watch(scene: Collision, to: float, size: float, *, free: bool = True) -> Watched:
     """Run a collision to a time; `size` (m) is that of a facet of the contactor, `free` whether momentum is to stay."""
-    for watched in watch_steps(scene, to, size, free=free):
-        pass
+    *_, watched = watch_steps(scene, to, size, free=free)
     return watched
 
 

@@ -4,13 +4,13 @@
     ./run python3 benchmarks/two_discs.py --friction 0.4 --sizes 0.015 --steps 1e-3 5e-4
     ./run python3 benchmarks/two_discs.py --family 1 --scenes 40
 
-Discs of R = 0.1 m, neo-Hookean, E = 1e6 Pa, ν = 0.3, ρ = 1000 kg/m³, with velocities (±0.5, ±2) m/s, centres 0.08 m apart across
-them; P2 elements of h and 1.3 h, 0.06 s. Shares of energy are of E₀; penetration is of h: "deepest" at a closed point, "mean"
+Discs of R = 0.1 m, neo-Hookean, E = 1e6 Pa, ν = 0.3, ρ = 1000 kg/m³, with velocities (±0.5, ±2) m/s, centres 0.08 m
+off; P2 elements of h and 1.3 h, 0.06 s. Shares of energy are of E₀; penetration is of h: "deepest" at a closed point, "mean"
 the weighted gap of a multiplier's node, which the method holds. Restitution is that along the line of centres at the
 start. Seconds are of CPU.
 
-The family: discs, rings, a block on a ring; μ 0 … 1, ratio of stiffness 1 … 1000, relative speed 0.01 … 0.5 of the softer body's
-wave speed, Δt 0.05 … 2 of h over the relative speed, P1 and P2. A scene is sound if energy never exceeds E₀ (1 + 1e-9),
+The family: discs, rings, a block on a ring; μ 0 … 1, ratio of stiffness 1 … 1000, relative speed 0.01 … 0.5 of the softer
+body's wave speed, Δt 0.05 … 2 of h over the relative speed, P1 and P2. A scene is sound if energy never exceeds E₀ (1 + 1e-9),
 contact never gives energy, and both momenta stay to 1e-10; a march may end early, but only by saying so.
 """
 

@@ -13,6 +13,7 @@ from meshes.two_beams import TwoBeams
 sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
 import two_beams
 import two_membranes
+import two_rings
 
 
 def run(monkeypatch, directory, *arguments):
@@ -61,6 +62,29 @@ def test_two_membranes_lock_and_say_so(monkeypatch, shared_path, capsys):
         assert "the membranes lock" in capsys.readouterr().out
         two_membranes.draw({case: (history, curves, contact)}, shared_path)
         assert (shared_path / "figure2.png").stat().st_size > 10_000
+
+
+def test_two_rings_keep_momenta_and_energy(monkeypatch, shared_path):
+    """Coarse, until they part for a while: momenta of both together to 1e-10, energies and losses add up to 1e-10."""
+    arguments = ["--size", "0.02", "--step", "1e-3", "--time", "0.03", "--output", str(shared_path), "--animate"]
+    monkeypatch.setattr(sys, "argv", ["two_rings.py", *arguments])
+    history, frames = two_rings.simulate(two_rings.options(), shared_path)
+    total = sum(history.column(name) for name in [*two_rings.ENERGIES, "contact"]) - history.column("energy_defect")
+    assert np.ptp(total) < 1e-10 * total[0]
+    for name in ("momentum_x", "angular_momentum"):
+        values = history.column(name)
+        assert np.ptp(values) < 1e-10 * abs(values[0])
+    both = history.column("spin_1") + history.column("spin_2")
+    assert both == pytest.approx(history.column("angular_momentum"), rel=1e-10)
+    assert history.column("spin_2")[-1] < -0.5  # N m s, from 0: the second ring was hit off-centre
+    assert history.column("friction_dissipation")[-1] > 0.01 * total[0]
+    assert history.column("penetration").max() < 0.1 * 0.02
+    if MPI.COMM_WORLD.rank == 0:
+        on_disk = np.genfromtxt(shared_path / "history.csv", delimiter=",", names=True)
+        assert on_disk.dtype.names == tuple(two_rings.COLUMNS)
+        assert len(frames) == 30
+        two_rings.draw(history, shared_path)
+        assert (shared_path / "figure5.png").stat().st_size > 10_000
 
 
 def test_a_mesh_file_of_ones_own(shared_path):
