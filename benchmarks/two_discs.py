@@ -9,8 +9,8 @@ off; P2 elements of h and 1.3 h, 0.06 s. Shares of energy are of E₀; penetrati
 the weighted gap of a multiplier's node, which the method holds. Restitution is that along the line of centres at the
 start. Seconds are of CPU.
 
-The family: discs, rings, a block on a ring; μ 0 … 1, ratio of stiffness 1 … 1000, relative speed 0.01 … 0.5 of the softer
-body's wave speed, Δt 0.05 … 2 of h over the relative speed, P1 and P2. A scene is sound if energy never exceeds E₀ (1 + 1e-9),
+The family: discs, rings, a block on a ring; μ 0 … 1, ratio of stiffness 1 … 1000, speed 0.01 … 0.5 of the softer body's
+wave speed, Δt 0.05 … 2 of h over the relative speed, P1 and P2. A scene is sound if energy never exceeds E₀ (1 + 1e-9),
 contact never gives energy, and both momenta stay to 1e-10; a march may end early, but only by saying so.
 """
 
