@@ -28,6 +28,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,13 @@ COARSE = (8, 1.0)  # fewer increments in a stage, or more facets of sliding in o
 VERDICTS = ("right", "right with rejections", "right (coarse)", "right (unverified)", "refused", "failed", "wrong")
 
 
-def march(scene: Scene, refinement: int = 1, other_ε: bool = False, verbose: bool = False) -> dict[str, Any]:
+def march(
+    scene: Scene,
+    refinement: int = 1,
+    other_ε: bool = False,
+    verbose: bool = False,
+    integration: str = "gauss",
+) -> dict[str, Any]:
     """One run of a scene, with `refinement` times as many increments: steps (per asked-for increment the iterations, rejected
     trials and facets of sliding), forces at the end of each stage, error, checks of the last state."""
     from robustness_model import Model
@@ -57,7 +64,7 @@ def march(scene: Scene, refinement: int = 1, other_ε: bool = False, verbose: bo
     result: dict[str, Any] = {"steps": [], "forces": [], "error": None, "kind": None}
     kind = "set-up"
     try:
-        model = Model(scene, other_ε)
+        model = Model(scene, other_ε, integration)
         kind = "step"
         for k, stage in enumerate(scene.stages):
             count = [0, 0]
@@ -118,16 +125,17 @@ def judge(scene: Scene, run: dict[str, Any], again: Callable[..., dict[str, Any]
     return "wrong", reason
 
 
-def one(seed: int, number: int, verbose: bool) -> None:
+def one(seed: int, number: int, verbose: bool, integration: str) -> None:
     """Run and judge a scene; a line of JSON after its own run, and another after the finer ones."""
     scene = draw(seed, number)
-    run = march(scene, verbose=verbose)
+    run = march(scene, verbose=verbose, integration=integration)
     record = {"code": "ours", "seed": seed, "number": number, "family": scene.family} | run
     unverified = {"verdict": "right (unverified)", "reason": "no time for finer runs"}
     print(
         json.dumps(record | ({"verdict": "failed", "reason": run["error"]} if run["error"] else unverified)), flush=True
     )
-    verdict, reason = judge(scene, run, lambda *options: march(scene, *options, verbose=verbose))
+    finer = partial(march, scene, verbose=verbose, integration=integration)
+    verdict, reason = judge(scene, run, finer)
     print(json.dumps(record | {"verdict": verdict, "reason": reason}), flush=True)
 
 
@@ -146,9 +154,10 @@ def call(command: list[str], record: dict[str, Any], timeout: float) -> dict[str
     return record | lost | {"seconds": round(time.perf_counter() - start, 2)}
 
 
-def ours(scene: Scene, timeout: float) -> dict[str, Any]:
+def ours(scene: Scene, timeout: float, integration: str = "gauss") -> dict[str, Any]:
     record = {"code": "ours", "seed": scene.seed, "number": scene.number, "family": scene.family}
-    return call(["benchmarks/robustness.py", "--one", str(scene.seed), str(scene.number)], record, timeout)
+    command = ["benchmarks/robustness.py", "--integration", integration]
+    return call([*command, "--one", str(scene.seed), str(scene.number)], record, timeout)
 
 
 def peer(scene: Scene, timeout: float) -> dict[str, Any]:
@@ -162,7 +171,7 @@ def peer(scene: Scene, timeout: float) -> dict[str, Any]:
         return record | call(["benchmarks/getfem_robustness.py", *files], record, timeout)
 
 
-CODES = {"ours": ours, "GetFEM": peer}
+CODES: dict[str, Callable[..., dict[str, Any]]] = {"ours": ours, "GetFEM": peer}
 
 
 def mean(values: list[float]) -> str:
@@ -226,12 +235,13 @@ def main() -> None:
         "--timeout", type=float, default=300.0, help="of a scene in s, finer runs included (%(default)s)"
     )
     parser.add_argument("--results", type=Path, default=ROOT / "results/robustness", help="folder (%(default)s)")
+    parser.add_argument("--integration", choices=("gauss", "segments"), default="gauss", help="of ours (%(default)s)")
     parser.add_argument("--one", type=int, nargs=2, metavar=("SEED", "NUMBER"), help="run this scene here, print JSON")
     parser.add_argument("--export", nargs=3, metavar=("SEED", "NUMBER", "FILE.npz"), help="write this scene's mesh")
     parser.add_argument("--verbose", action="store_true", help="with --one: each step, too")
     args = parser.parse_args()
     if args.one:
-        return one(*args.one, args.verbose)
+        return one(*args.one, args.verbose, args.integration)
     if args.export:
         from robustness_model import export
 
@@ -240,12 +250,13 @@ def main() -> None:
     scenes = [s for s in (draw(args.seed, k) for k in range(args.scenes)) if s.family in args.families]
     tasks = [(code, s) for s in scenes for code in CODES if code == "ours" or (args.peer and s.family in PLANE)]
     args.results.mkdir(parents=True, exist_ok=True)
-    path = args.results / f"seed-{args.seed}.jsonl"
+    path = args.results / f"seed-{args.seed}{'-segments' if args.integration == 'segments' else ''}.jsonl"
+    codes = CODES | {"ours": partial(ours, integration=args.integration)}
     lines = path.read_text().splitlines() if path.exists() else []
     done = {(r["code"], r["number"]): r for r in map(json.loads, lines)}
     todo = [(code, s) for code, s in tasks if (code, s.number) not in done]
     with ThreadPoolExecutor(args.jobs) as pool, path.open("a") as out:
-        running = [pool.submit(CODES[code], scene, args.timeout) for code, scene in todo]
+        running = [pool.submit(codes[code], scene, args.timeout) for code, scene in todo]
         for k, future in enumerate(as_completed(running), start=1):
             r = future.result()
             done[r["code"], r["number"]] = r

@@ -27,10 +27,11 @@ SAMPLES = {1: 6, 2: 4}  # and of the contactor
 class Model:
     """The problem of a scene, `set_load(stage)` for each stage's march, and checks of its state.
 
-    `other_ε`: with augmentation parameters of the softer E over a length of 0.1 m instead of the package's own.
+    `other_ε`: with augmentation parameters of the softer E over a length of 0.1 m instead of the package's own; `integration`
+    as in :class:`~dolfinx_mortar_al.Contact`.
     """
 
-    def __init__(self, scene: Scene, other_ε: bool = False) -> None:
+    def __init__(self, scene: Scene, other_ε: bool = False, integration: str = "gauss") -> None:
         self.scene = scene
         self.mesh, self.cell_tags, self.facet_tags = create(scene)
         V = fem.functionspace(self.mesh, ("Lagrange", scene.order, (scene.dim,)))
@@ -46,7 +47,8 @@ class Model:
             if other_ε
             else None
         )
-        contacts = [Contact(contactor, target, friction=scene.friction, epsilon_normal=ε, epsilon_tangential=ε)]
+        options = {"epsilon_normal": ε, "epsilon_tangential": ε}
+        contacts = [Contact(contactor, target, friction=scene.friction, integration=integration, **options)]
         self.problem = ContactProblem(F, self.u, bcs=self._conditions(), contacts=contacts)
         self.pair = self.problem.pairs[0]
 

@@ -41,10 +41,11 @@ def _clip_by_line(subject: Array, count: Index, height: Array) -> tuple[Array, I
     crosses = there & (h * h_next < 0.0)
     t = np.where(crosses, h / np.where(crosses, h - h_next, 1.0), 0.0)[:, :, None]
     crossing = (1.0 - t) * subject + t * np.take_along_axis(subject, following[:, :, None], axis=1)
-    emit = np.stack([there & (h >= 0.0), crosses], axis=2).reshape(len(subject), -1)
-    vertices = np.stack([subject, crossing], axis=2).reshape(len(subject), -1, 2)
+    n, v = there.shape
+    emit = np.stack([there & (h >= 0.0), crosses], axis=2).reshape(n, 2 * v)
+    vertices = np.stack([subject, crossing], axis=2).reshape(n, 2 * v, 2)
     count = emit.sum(axis=1)
-    result = np.zeros((len(subject), max(int(count.max(initial=0)), 1), 2))
+    result = np.zeros((n, max(int(count.max(initial=0)), 1), 2))
     row, column = np.nonzero(emit)
     result[row, np.cumsum(emit, axis=1)[row, column] - 1] = vertices[row, column]
     return result, count

@@ -148,8 +148,8 @@ def march(
     time, Δt, number = start, longest, 1
     while number <= steps:
         mark = min(start + number * longest, to)
-        nominal = time + Δt * (1 + 1e-9) >= mark
-        trial = mark - time if nominal else Δt
+        parts = max(int(np.ceil((mark - time) / Δt - 1e-9)), 1)  # equal ones: no tiny step is left over
+        trial, nominal = (mark - time) / parts, parts == 1
         easy = stepper.try_step(time, trial)
         share = 0.0 if tolerance is None or not easy else stepper.local_error(trial) / tolerance
         if not easy or share > FAR:
@@ -266,11 +266,11 @@ class _Stepper:
 
     def local_error(self, Δt: float) -> float:
         """What the mid-point rule leaves out in this step, Δt³ 𝐮‴/12, as root mean square over all components (m); for Δt 𝐮‴
-        the jump of the mean acceleration from the last step to this one."""
+        the jump of the mean acceleration from the last step (zero at the start) to this one."""
         new = [2 / Δt**2 * (m.u.x.array - m.old.x.array) - 2 / Δt * m.velocity.x.array for m in self.motions]
         sizes = [m.u.function_space.dofmap.index_map.size_local * self.problem.gdim for m in self.motions]
         rate = np.concatenate([a[:n] for a, n in zip(new, sizes, strict=True)])
-        jump = np.zeros_like(rate) if self._rate is None else rate - self._rate
+        jump = rate if self._rate is None else rate - self._rate  # a start without acceleration may be an impact
         self._next_rate = rate
         square, count = self.problem.comm.allreduce(np.array([float(jump @ jump), float(len(jump))]))
         return float(Δt**2 / 12 * np.sqrt(square / max(count, 1.0)))

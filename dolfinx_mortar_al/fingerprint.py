@@ -84,7 +84,8 @@ def _of_pair(pair: ContactPair) -> Fingerprint:
         "multiplier": f"order {contact.multiplier_order}, {pair.multiplier.components} components",
         "projection": contact.projection,
         "thickness": repr(contact.thickness),
-        "contactor": _hash([pair.facets.X, pair.integration.weight]),
+        "integration": contact.integration,
+        "contactor": _hash([pair.facets.X, pair.gauss.weight]),
     }
     if isinstance(target, Obstacle):
         shape = {name: np.asarray(v).tolist() for name, v in sorted(vars(target).items()) if not name.startswith("_")}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import ufl
 from dolfinx import fem
@@ -27,7 +27,9 @@ __all__ = [
     "saint_venant_kirchhoff",
 ]
 
-SMALL_STRAIN = 1e-5  # change of 𝐂 in a step below which the discrete gradient is the gradient
+SMALL_STRAIN = 1e-5  # change of 𝐂 where the rest of a discrete gradient, by differences, is round-off
+TINY_STRAIN = 1e-30  # where its quotient is 0/0
+SERIES = 0.05  # up to which six terms give artanh z − z to round-off
 
 
 def deformation_gradient(u: fem.Function) -> Expr:
@@ -88,10 +90,19 @@ class Hyperelastic(ABC):
         ΔC = C1 - C0
         S = self.second_piola((C0 + C1) / 2)
         size = ufl.inner(ΔC, ΔC)
-        rest = self.energy_of_strain(C1) - self.energy_of_strain(C0) - ufl.inner(S, ΔC) / 2
-        # the rest is cubic in Δ𝐂: below SMALL_STRAIN it is round-off, and so is what leaving it out costs
-        share = ufl.conditional(ufl.gt(size, SMALL_STRAIN**2), rest / ufl.max_value(size, SMALL_STRAIN**2), 0.0)
+        # the rest is cubic in Δ𝐂
+        least = self.least_change**2
+        share = ufl.conditional(ufl.gt(size, least), self.energy_rest(C0, C1) / ufl.max_value(size, least), 0.0)
         return (F0 + F1) / 2 * (S + 2 * share * ΔC)
+
+    #: change of 𝐂 in a step below which the discrete gradient is the gradient
+    least_change: ClassVar[float] = SMALL_STRAIN
+
+    def energy_rest(self, C0: Expr, C1: Expr) -> Expr:
+        """w(𝐂₁) − w(𝐂₀) − 𝐒((𝐂₀ + 𝐂₁)/2) : (𝐂₁ − 𝐂₀)/2 in J/m³. A difference of large numbers here: below SMALL_STRAIN it is
+        round-off, and so is what leaving it out costs."""
+        S = self.second_piola((C0 + C1) / 2)
+        return self.energy_of_strain(C1) - self.energy_of_strain(C0) - ufl.inner(S, C1 - C0) / 2
 
     def virtual_work(
         self, u: fem.Function, v: Expr | None = None, *, thickness: float = 1.0, dx: ufl.Measure | None = None
@@ -146,6 +157,27 @@ class NeoHookean(Hyperelastic):
     def first_piola(self, F: Expr) -> Expr:
         F_inv_T = ufl.inv(F).T
         return self.G * (F - F_inv_T) + self.Λ * ufl.ln(ufl.det(F)) * F_inv_T
+
+    least_change: ClassVar[float] = TINY_STRAIN
+
+    def energy_rest(self, C0: Expr, C1: Expr) -> Expr:
+        """Without differences of large numbers, whose round-off would keep Newton from converging where a stiff body moves
+        slowly. With 𝐀 = 𝐂̄⁻¹Δ𝐂 for the mean 𝐂̄ and its invariants I₁, I₂, I₃,
+
+            det(𝐈 ± 𝐀/2) = even ± odd,   even = 1 + I₂/4,   odd = I₁/2 + I₃/8,   Δ ln det 𝐂 = 2 artanh(odd/even).
+        """
+        C = (C0 + C1) / 2
+        A = ufl.inv(C) * (C1 - C0)
+        I1 = ufl.tr(A)
+        I2 = (I1**2 - ufl.tr(A * A)) / 2
+        I3 = ufl.det(A) if C0.ufl_shape[0] == 3 else 0.0
+        even = 1 + I2 / 4
+        z = (I1 / 2 + I3 / 8) / even
+        series = z**3 * sum(z ** (2 * k) / (2 * k + 3) for k in range(6))  # artanh z − z
+        bend = ufl.conditional(ufl.lt(abs(z), SERIES), series, ufl.ln((1 + z) / (1 - z)) / 2 - z)
+        miss = I3 / 4 - z * I2 / 2 + 2 * bend  # Δ ln det 𝐂 − I₁
+        mean = ufl.ln(even**2 * (1 - z**2)) / 2  # of ln det 𝐂 at both ends, less ln det 𝐂̄
+        return (self.Λ * ufl.ln(ufl.det(C)) / 4 - self.G / 2) * miss + self.Λ / 4 * mean * (I1 + miss)
 
 
 def saint_venant_kirchhoff(E: Any, nu: Any) -> SaintVenantKirchhoff:

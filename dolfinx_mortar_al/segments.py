@@ -29,7 +29,7 @@ Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
 STILL = 3e-5  # in facets: the root of Newton's tolerance on forces, as a cut's displacement counts squared
-CLOSELY, GROWTH, LAZY = 3, 4.0, 1e-2  # moves of a solve after which STILL grows with each, by this, up to that
+GROWTH = 30.0  # of STILL with each move in a solve: points that would chatter with the contact state come to rest
 SNAP = 1e-6  # in facets: a cut closer to another, or to a facet's end, is none; its displacement counts squared, too
 NEWTON = 8  # iterations for the ray of a curved facet through a point, or a point of a quadrilateral
 SLIVER = 1e-13  # share of a facet below which a polygon is round-off
@@ -57,13 +57,13 @@ class Segments(ABC):
         self.forget()
 
     def begin(self) -> None:
-        """A new solve: points follow closely at first, and less and less as they are moved again."""
+        """A new solve: points follow closely at first, less and less as they are moved again."""
         self._moves = 0
 
     @property
     def _still(self) -> float:
         """Motion of cuts (in facets) up to which points stay."""
-        return float(min(STILL * GROWTH ** max(self._moves - CLOSELY, 0), LAZY))
+        return STILL * GROWTH**self._moves
 
     def forget(self) -> None:
         """Make new points next time, whether anything has moved or not."""
@@ -270,7 +270,7 @@ class _Polygons(Segments):
         η = polygons.copy()
         for _ in range(NEWTON):
             N, dN = self._linear.tabulate(η.reshape(-1, 2), 1)
-            N, dN = N.reshape(*η.shape[:2], -1), dN.reshape(*η.shape[:2], 2, -1)
+            N, dN = N.reshape(*η.shape[:2], 4), dN.reshape(*η.shape[:2], 2, 4)
             A = np.swapaxes(dN @ nodes[:, None], 2, 3)
             step = (inverse(A.reshape(-1, 2, 2)).reshape(A.shape) @ (polygons - N @ nodes)[..., None])[..., 0]
             η += step

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.kinematics import Forces, Kinematics
 from dolfinx_mortar_al.law import OPEN, STICK, Coulomb, Frictionless, LawState
-from dolfinx_mortar_al.projection import Projection, TargetPoint, dot, inverse
+from dolfinx_mortar_al.lever import Lever
+from dolfinx_mortar_al.projection import Projection, TargetPoint, dot
 from dolfinx_mortar_al.swept import passed_through
 from dolfinx_mortar_al.targets import DeformableTarget, Place
 from dolfinx_mortar_al.variation import Slots, Variation, scaled_normal, vary_gap
@@ -30,10 +31,10 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
-# Relative motions below this share of a facet are no direction for κ; what is left out is of third order in the step.
-
 FOLLOWS = 3  # iterations of a solve in which points and directions are chosen again
-STILL = 1e-3
+STILL = (
+    1e-3  # of a facet: relative motions below are no direction for κ; what it leaves out is of third order in the step
+)
 DEPTH = 0.05  # of a facet, behind which an open point that came through its front has not been seen by contact
 
 
@@ -67,76 +68,6 @@ class Rates:
     free: Array
     carried: Array
     swept: Array
-
-
-@dataclass
-class Lever:
-    """The operator 𝐀^α at n points, in the middle of a step.
-
-    Attributes:
-        a: (n, dim, gdim) tangents 𝐚_α; dual: (n, dim, gdim) 𝐚^α; n: (n, gdim) unit normal; r: (n, gdim) 𝐱 − 𝐲.
-    """
-
-    a: Array
-    dual: Array
-    n: Array
-    r: Array
-
-    @classmethod
-    def of(cls, a: Array, normal: Array, r: Array) -> Lever:
-        """From tangents, a normal of any length, and the distance."""
-        return cls(a, inverse(a @ np.swapaxes(a, 1, 2)) @ a, normal / np.linalg.norm(normal, axis=1, keepdims=True), r)
-
-    @property
-    def along(self) -> Array:
-        """(n, dim) 𝐚^α·𝐫."""
-        return np.asarray((self.dual @ self.r[:, :, None])[:, :, 0])
-
-    @property
-    def height(self) -> Array:
-        """(n,) 𝐧·𝐫."""
-        return dot(self.n, self.r)
-
-    def carry(self, Δa: Array) -> Array:
-        """(n, gdim) 𝐀^α Δ𝐚_α: how 𝐫 would change with the contactor's facet; Δa (n, dim, gdim)."""
-        turned = np.einsum("na,nai->ni", (Δa @ self.n[:, :, None])[:, :, 0], self.dual)
-        return np.einsum("na,nai->ni", self.along, Δa) - self.height[:, None] * turned
-
-    def transposed(self, F: Array) -> Array:
-        """(n, dim, gdim) (𝐀^α)ᵀ 𝐅, the forces on the tangents."""
-        lifted = (self.dual @ F[:, :, None])[:, :, 0] * self.height[:, None]
-        return np.asarray(self.along[:, :, None] * F[:, None] - lifted[:, :, None] * self.n[:, None])
-
-    def vary_parts(self, δa: Array, δr: Array) -> tuple[Array, Array, Array, Array]:
-        """δ𝐚^α (n, dim, gdim, z), δ𝐧 (n, gdim, z), δ(𝐚^α·𝐫) (n, dim, z) and δ(𝐧·𝐫) (n, z), of δ𝐚_α (dim, gdim, z) and
-        δ𝐫 (gdim, z)."""
-        tilt = np.einsum("ni,biz->nbz", self.n, δa)  # 𝐧·δ𝐚_β
-        shear = np.einsum("nai,biz->nabz", self.dual, δa)  # 𝐚^α·δ𝐚_β
-        metric = self.dual @ np.swapaxes(self.dual, 1, 2)
-        δdual = -np.einsum("nabz,nbi->naiz", shear, self.dual) + np.einsum("nab,nbz,ni->naiz", metric, tilt, self.n)
-        δn = -np.einsum("nbz,nbi->niz", tilt, self.dual)
-        δalong = np.einsum("naiz,ni->naz", δdual, self.r) + self.dual @ δr
-        return δdual, δn, δalong, np.einsum("niz,ni->nz", δn, self.r) + self.n @ δr
-
-    def vary_carry(self, Δa: Array, δa: Array, δr: Array) -> Array:
-        """(n, gdim, z) δ𝐀^α Δ𝐚_α."""
-        δdual, δn, δalong, δheight = self.vary_parts(δa, δr)
-        lift = (Δa @ self.n[:, :, None])[:, :, 0]  # 𝐧·Δ𝐚_α
-        turned = np.einsum("na,nai->ni", lift, self.dual)
-        δlift = np.einsum("nai,niz->naz", Δa, δn)
-        δturned = np.einsum("na,naiz->niz", lift, δdual) + np.einsum("naz,nai->niz", δlift, self.dual)
-        moved = np.einsum("naz,nai->niz", δalong, Δa)
-        return np.asarray(moved - turned[:, :, None] * δheight[:, None] - self.height[:, None, None] * δturned)
-
-    def vary_transposed(self, F: Array, δa: Array, δr: Array) -> Array:
-        """(n, dim, gdim, z) (δ𝐀^α)ᵀ 𝐅."""
-        δdual, δn, δalong, δheight = self.vary_parts(δa, δr)
-        lifted = (self.dual @ F[:, :, None])[:, :, 0]  # 𝐚^α·𝐅
-        δlifted = np.einsum("naiz,ni->naz", δdual, F)
-        height = self.height[:, None, None]
-        factor = lifted[:, :, None] * δheight[:, None] + height * δlifted
-        moved = δalong[:, :, None] * F[:, None, :, None] - factor[:, :, None] * self.n[:, None, :, None]
-        return np.asarray(moved - (height * lifted[:, :, None])[..., None] * δn[:, None])
 
 
 class StepLevel(Kinematics):
@@ -300,7 +231,7 @@ class StepLevel(Kinematics):
         δw = np.broadcast_to(δr, (n, d, z))
         if not self.target.is_rigid:
             lever, δa = Lever(*(v[act] for v in vars(self.lever).values())), slots.derivatives("x")
-            δw = δw - _carry(lever, δa) - lever.vary_carry(self._Δa[act], δa / 2, δr / 2)
+            δw = δw - lever.carry_map(δa) - lever.vary_carry(self._Δa[act], δa / 2, δr / 2)
         δg = vary_gap(self.end.take(act), slots, "w_e")
         δ = Variation(np.zeros((n, 0, z)), δg, np.zeros((n, d, z)), slots.multiplier_slot()[None], δw)
         δt, δresidual = law.linearise(state, Λ, at, None if self.s is None else w, δ)
@@ -313,7 +244,7 @@ class StepLevel(Kinematics):
         C = np.stack([-δF, δF], axis=1)
         if not self.target.is_rigid:
             F = self._total_at(state, act)
-            on_tangents = _transposed(lever, δF) + lever.vary_transposed(F, δa / 2, δr / 2)
+            on_tangents = lever.transposed_map(δF) + lever.vary_transposed(F, δa / 2, δr / 2)
             C = np.concatenate([C, on_tangents], axis=1)
         return C, δresidual
 
@@ -365,9 +296,8 @@ class StepLevel(Kinematics):
         slide = np.broadcast_to(slots.slot("x") - slots.slot("w"), (len(act), d, slots.size))
         if own:
             now = self.contactor()
-            slide = slide - _carry(
-                Lever.of(now.tangents[act], now.normal[act], now.x[act] - end.y), slots.derivatives("x")
-            )
+            lever = Lever.of(now.tangents[act], now.normal[act], now.x[act] - end.y)
+            slide = slide - lever.carry_map(slots.derivatives("x"))
         νν = end.ν[:, :, None] * end.ν[:, None]
         held = (hold & (state.status == STICK))[act, None, None]
         P = (np.eye(d) - νν) * held
@@ -375,16 +305,3 @@ class StepLevel(Kinematics):
         along = part - np.einsum("ni,niz->nz", f * ~held[:, 0], slide)
         G, H = (P @ slide + end.ν[:, :, None] * normal[:, None] for normal in (part, along))
         return Rates(act, end.point.facet, G, H, B, np.eye(d) - P - νν, ((P + νν) @ swept[:, :, None])[:, :, 0], swept)
-
-
-def _carry(lever: Lever, δa: Array) -> Array:
-    """(n, gdim, z) 𝐀^α δ𝐚_α of maps δ𝐚_α (dim, gdim, z)."""
-    tilt = np.einsum("ni,aiz->naz", lever.n, δa)
-    turned = np.einsum("naz,nai->niz", tilt, lever.dual)
-    return np.asarray(np.einsum("na,aiz->niz", lever.along, δa) - lever.height[:, None, None] * turned)
-
-
-def _transposed(lever: Lever, δF: Array) -> Array:
-    """(n, dim, gdim, z) (𝐀^α)ᵀ δ𝐅."""
-    lifted = (lever.dual @ δF) * lever.height[:, None, None]
-    return np.asarray(lever.along[:, :, None, None] * δF[:, None] - lifted[:, :, None] * lever.n[:, None, :, None])

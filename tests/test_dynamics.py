@@ -79,6 +79,15 @@ def test_discrete_gradient_does_the_work_of_the_energy(law):
     assert np.sqrt(fem.assemble_scalar(miss)) < 1e-9
 
 
+def test_round_off_of_the_discrete_gradient_does_not_stop_newton():
+    """A stiff disc that vibrates slightly over steps much longer than its periods: four iterations a step, none rejected (a
+    quotient of differences has a noise of 1e-11 E in its stress, beyond the tolerance of 1e-11 of the forces)."""
+    problem, motion = disc(velocity=lambda x: 1e-2 * stretched(x), gap=0.5, step=1e-2, E=1e9)
+    steps = list(dynamics.march(problem, motion, to=0.1))
+    assert sum(step.rejected for step in steps) == 0
+    assert max(step.iterations for step in steps) <= 4
+
+
 def test_a_disc_dropped_without_friction_does_not_turn():
     """μ = 0, straight down: angular momentum about the centre zero to 1e-10 of m V R, momentum balance to 1e-10."""
     problem, motion = disc(velocity=lambda x: np.stack([0 * x[0], -3 + 0 * x[0]]), friction=0.0)

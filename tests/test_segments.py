@@ -130,3 +130,9 @@ def test_segments_need_rays():
         Contact(contact.contactor, contact.target, integration="segments", projection="closest")
     with pytest.raises(ValueError, match='"segments" or "gauss"'):
         Contact(contact.contactor, contact.target, integration="exact")
+
+
+def test_segments_are_refused_in_impact():
+    problem, _ = blocks(integration="segments")
+    with pytest.raises(ValueError, match='take "gauss" in impact'):
+        problem.pairs[0].use_velocities(0.5)

@@ -7,8 +7,8 @@ from scenes import NU, E, assert_tangent, contact_of, rough, set_field
 
 from dolfinx_mortar_al import ContactProblem
 from dolfinx_mortar_al.law import OPEN, SLIP, STICK
+from dolfinx_mortar_al.lever import Lever
 from dolfinx_mortar_al.materials import saint_venant_kirchhoff
-from dolfinx_mortar_al.step_level import Lever
 from meshes.two_beams import TwoBeams
 
 EPSILON = 1e7

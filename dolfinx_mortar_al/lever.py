@@ -1,0 +1,99 @@
+"""The operator 𝐀^α = (𝐚^α·𝐫) 𝐈 − (𝐧·𝐫) 𝐚^α⊗𝐧: how a distance 𝐫 from a surface changes when it moves with the surface.
+
+𝐚_α are tangents of the surface, 𝐚^α their duals, 𝐧 its unit normal: 𝐀^α Δ𝐚_α = Δ𝐫 for every rigid motion, finite ones
+included if 𝐚_α and 𝐫 are the means of both ends (``docs/impact.md``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.projection import dot, inverse
+
+__all__ = ["Lever"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Lever:
+    """The operator 𝐀^α at n points, in the middle of a step or at its end.
+
+    Attributes:
+        a: (n, dim, gdim) tangents 𝐚_α; dual: (n, dim, gdim) 𝐚^α; n: (n, gdim) unit normal; r: (n, gdim) 𝐱 − 𝐲.
+    """
+
+    a: Array
+    dual: Array
+    n: Array
+    r: Array
+
+    @classmethod
+    def of(cls, a: Array, normal: Array, r: Array) -> Lever:
+        """From tangents, a normal of any length, and the distance."""
+        return cls(a, inverse(a @ np.swapaxes(a, 1, 2)) @ a, normal / np.linalg.norm(normal, axis=1, keepdims=True), r)
+
+    @property
+    def along(self) -> Array:
+        """(n, dim) 𝐚^α·𝐫."""
+        return np.asarray((self.dual @ self.r[:, :, None])[:, :, 0])
+
+    @property
+    def height(self) -> Array:
+        """(n,) 𝐧·𝐫."""
+        return dot(self.n, self.r)
+
+    def carry(self, Δa: Array) -> Array:
+        """(n, gdim) 𝐀^α Δ𝐚_α: how 𝐫 would change with the contactor's facet; Δa (n, dim, gdim)."""
+        turned = np.einsum("na,nai->ni", (Δa @ self.n[:, :, None])[:, :, 0], self.dual)
+        return np.einsum("na,nai->ni", self.along, Δa) - self.height[:, None] * turned
+
+    def transposed(self, F: Array) -> Array:
+        """(n, dim, gdim) (𝐀^α)ᵀ 𝐅, the forces on the tangents."""
+        lifted = (self.dual @ F[:, :, None])[:, :, 0] * self.height[:, None]
+        return np.asarray(self.along[:, :, None] * F[:, None] - lifted[:, :, None] * self.n[:, None])
+
+    def vary_parts(self, δa: Array, δr: Array) -> tuple[Array, Array, Array, Array]:
+        """δ𝐚^α (n, dim, gdim, z), δ𝐧 (n, gdim, z), δ(𝐚^α·𝐫) (n, dim, z) and δ(𝐧·𝐫) (n, z), of δ𝐚_α (dim, gdim, z) and
+        δ𝐫 (gdim, z)."""
+        tilt = np.einsum("ni,biz->nbz", self.n, δa)  # 𝐧·δ𝐚_β
+        shear = np.einsum("nai,biz->nabz", self.dual, δa)  # 𝐚^α·δ𝐚_β
+        metric = self.dual @ np.swapaxes(self.dual, 1, 2)
+        δdual = -np.einsum("nabz,nbi->naiz", shear, self.dual) + np.einsum("nab,nbz,ni->naiz", metric, tilt, self.n)
+        δn = -np.einsum("nbz,nbi->niz", tilt, self.dual)
+        δalong = np.einsum("naiz,ni->naz", δdual, self.r) + self.dual @ δr
+        return δdual, δn, δalong, np.einsum("niz,ni->nz", δn, self.r) + self.n @ δr
+
+    def vary_carry(self, Δa: Array, δa: Array, δr: Array) -> Array:
+        """(n, gdim, z) δ𝐀^α Δ𝐚_α."""
+        δdual, δn, δalong, δheight = self.vary_parts(δa, δr)
+        lift = (Δa @ self.n[:, :, None])[:, :, 0]  # 𝐧·Δ𝐚_α
+        turned = np.einsum("na,nai->ni", lift, self.dual)
+        δlift = np.einsum("nai,niz->naz", Δa, δn)
+        δturned = np.einsum("na,naiz->niz", lift, δdual) + np.einsum("naz,nai->niz", δlift, self.dual)
+        moved = np.einsum("naz,nai->niz", δalong, Δa)
+        return np.asarray(moved - turned[:, :, None] * δheight[:, None] - self.height[:, None, None] * δturned)
+
+    def vary_transposed(self, F: Array, δa: Array, δr: Array) -> Array:
+        """(n, dim, gdim, z) (δ𝐀^α)ᵀ 𝐅."""
+        δdual, δn, δalong, δheight = self.vary_parts(δa, δr)
+        lifted = (self.dual @ F[:, :, None])[:, :, 0]  # 𝐚^α·𝐅
+        δlifted = np.einsum("naiz,ni->naz", δdual, F)
+        height = self.height[:, None, None]
+        factor = lifted[:, :, None] * δheight[:, None] + height * δlifted
+        moved = δalong[:, :, None] * F[:, None, :, None] - factor[:, :, None] * self.n[:, None, :, None]
+        return np.asarray(moved - (height * lifted[:, :, None])[..., None] * δn[:, None])
+
+    def carry_map(self, δa: Array) -> Array:
+        """(n, gdim, z) 𝐀^α δ𝐚_α of maps δ𝐚_α (dim, gdim, z)."""
+        tilt = np.einsum("ni,aiz->naz", self.n, δa)
+        turned = np.einsum("naz,nai->niz", tilt, self.dual)
+        return np.asarray(np.einsum("na,aiz->niz", self.along, δa) - self.height[:, None, None] * turned)
+
+    def transposed_map(self, δF: Array) -> Array:
+        """(n, dim, gdim, z) (𝐀^α)ᵀ δ𝐅."""
+        lifted = (self.dual @ δF) * self.height[:, None, None]
+        return np.asarray(self.along[:, :, None, None] * δF[:, None] - lifted[:, :, None] * self.n[:, None, :, None])
