@@ -428,6 +428,7 @@ class ContactPair(PairResults):
         }
         if self.segments is None:
             arrays |= {"λN_hat": self.state.λN_hat.copy(), "facet": history.facet.copy(), "η": history.η.copy()}
+            arrays |= {"ρ": self.kinematics.ρ.copy()}
         else:  # no array may depend on where the segments are
             contactor, target = self._converged
             arrays |= {"λN_hat": self._λN_hat_at_gauss(), "contactor": contactor.copy(), "target": target.copy()}
@@ -444,7 +445,8 @@ class ContactPair(PairResults):
             self.target.obstacle.pose = Pose(saved["translation"], saved["rotation"])
         λN_hat = saved["λN_hat"]
         if self.segments is None:
-            self.kinematics.set_history(TargetPoint(saved["facet"].astype(np.int64), saved["η"].copy()))
+            point = TargetPoint(saved["facet"].astype(np.int64), saved["η"].copy())
+            self.kinematics.set_history(point, saved["ρ"].copy())
         else:
             self._converged = saved["contactor"].copy(), saved["target"].copy()
             self.target.refresh()

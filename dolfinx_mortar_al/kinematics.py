@@ -13,9 +13,10 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.carried import carried, components, vary_carried
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.law import Coulomb, Frictionless, LawState
-from dolfinx_mortar_al.projection import Projection, TargetPoint
+from dolfinx_mortar_al.projection import Projection, TargetPoint, combine
 from dolfinx_mortar_al.targets import ContactorPoints, Target
 from dolfinx_mortar_al.variation import Slots, vary
 
@@ -24,6 +25,10 @@ __all__ = ["Forces", "Kinematics", "PositionLevel", "contactor_points"]
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
+
+# Of a gap's turn, what the target's facet says; the contactor's says the rest: half each, so that two bodies that mirror each
+# other have no slip (docs/theory.md).
+SHARE = 0.5
 
 
 @dataclass
@@ -53,6 +58,8 @@ class Kinematics(ABC):
         x: (n, gdim) contactor points now (m); at: what they face; s: (n, gdim) slip increment (m), None without friction.
         may_close: (n,) points that contact may take part in at all.
         touch: gaps below are round-off (m).
+        history: (n,) the target's points Y_{n−1} that the slip is counted from.
+        ρ: (n, gdim) 𝐱 − φ₂(Y_{n−1}) of step n − 1 in the target's frame there (`carried.py`), 0 where it is not needed.
     """
 
     x: Array
@@ -65,6 +72,7 @@ class Kinematics(ABC):
         self.touch = 1e-12 * target.size
         self._u = u
         self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros((points.size, points.η.shape[1])))
+        self.ρ: Array = np.zeros((points.size, points.facets.X.shape[2]))
 
     # ---------------------------------------------------------------- where the contactor is
 
@@ -146,7 +154,9 @@ class Kinematics(ABC):
         the points."""
         self.points = points
         if self.friction:
-            self.set_history(self.target.faced(contactor_points(points, contactor), target))
+            now = contactor_points(points, contactor)
+            point, facing = self.target.faced(now, target)
+            self.set_history(point, self.apart(point, facing, now.x, target))
         else:
             self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros_like(points.η))
 
@@ -157,12 +167,23 @@ class Kinematics(ABC):
         if self.friction and len(lost):  # the slip of what comes back is counted from the nearest point
             near = self.target.closest(self.x[lost]).point
             point.facet[lost], point.η[lost] = near.facet, near.η
-        self.set_history(point)
+        self.set_history(point, self.apart(point, self.faced.facing, self.x, self.target.nodes))
 
-    def set_history(self, point: TargetPoint) -> None:
-        """Count the slip from these material points of the target."""
+    def apart(self, point: TargetPoint, facing: Bool, x: Array, nodes: Array) -> Array | None:
+        """(n, gdim) ρ of points at 𝐱 (n, gdim) that take Y = `point` for their history, the target's nodes at `nodes` (m)."""
+        return None
+
+    def set_history(self, point: TargetPoint, ρ: Array | None = None) -> None:
+        """Count the slip from these material points of the target, and from ρ (n, gdim) apart from them."""
         self.history = point
         self.weights: Array = self.target.weights(point)
+        self.ρ = np.zeros((len(point.facet), self.target.dim + 1)) if ρ is None else ρ
+        self.slopes: Array = self.target.derivatives(point) if self.carries else np.zeros(0)
+
+    @property
+    def carries(self) -> bool:
+        """Whether the slip is counted with ρ."""
+        return False
 
     def positions_of_history(self) -> Array:
         """(n, gdim) where the points Y_{n−1} are now, φ₂(Y_{n−1}, t) (m)."""
@@ -188,15 +209,32 @@ class PositionLevel(Kinematics):
         self.s = self.slip() if self.friction else None
 
     def slip(self) -> Array:
-        """s = V_T Δt, eq. (5): (n, gdim) in m, of which only the tangential part counts. From 𝐲 − φ₂(Y_{n−1}, t) with the
-        closest point; with rays from 𝐱 − φ₂(Y_{n−1}, t), whose tangential part is the same."""
-        here = self.x if self.target.uses_rays else self.at.y
-        return here - self.positions_of_history()
+        """s = V_T Δt, eq. (5): (n, gdim) in m, of which only the tangential part counts. 𝐲 − φ₂(Y_{n−1}, t) with the closest
+        point; with rays 𝐱 − φ₂(Y_{n−1}, t) less the mean of 𝐱 − φ₂(Y_{n−1}) of step n − 1 as the target's and as the
+        contactor's facet have carried it. The latter is along ν and left out."""
+        if not self.carries:
+            return (self.x if self.target.uses_rays else self.at.y) - self.positions_of_history()
+        self._frame = self.target.tangents(self.history, self.slopes)
+        return self.x - self.positions_of_history() - SHARE * carried(self._frame, self.ρ)
+
+    @property
+    def carries(self) -> bool:
+        return self.friction and self.target.uses_rays
+
+    def apart(self, point: TargetPoint, facing: Bool, x: Array, nodes: Array) -> Array | None:
+        """Zero at points that faced nothing: those that come from beyond the target's end slip from that end on."""
+        if not self.carries:
+            return None
+        r = x - combine(self.target.weights(point), nodes[self.target.facets[point.facet]])
+        ρ = components(self.target.tangents(point, self.target.derivatives(point), nodes), r)
+        return np.where(facing[:, None], ρ, 0.0)
 
     def slots(self, multiplier: int) -> Slots:
         derivatives = [str(α) for α in range(self.target.dim)]
         own = [f"x,{α}" for α in derivatives] if self.target.uses_rays else []
-        names = ["x", "w", *(f"w,{α}" for α in derivatives), *own, *(["w_p"] if self.friction else [])]
+        old = ["w_p"] if self.friction else []
+        old += [f"w_p,{α}" for α in derivatives] if self.carries else []
+        names = ["x", "w", *(f"w,{α}" for α in derivatives), *own, *old]
         return Slots(self.target.dim + 1, multiplier, tuple(names))
 
     def forces(self, state: LawState) -> Forces:
@@ -209,6 +247,9 @@ class PositionLevel(Kinematics):
         """δ of −t (on N1 U1*), t (on N2 U2*), and t_i η^α (on N2,α U2*): the moving η moves the test function too."""
         at = self.at.take(act)
         δ = vary(at, slots)
+        if self.carries:
+            assert δ.s is not None
+            δ.s = δ.s - SHARE * vary_carried(self._frame[act], self.ρ[act], slots, "w_p")
         δt, δr = law.linearise(state, Λ, at, None if self.s is None else self.s[act], δ)
         moving = state.t[:, None, :, None] * δ.η[:, :, None, :]
         return np.concatenate([np.stack([-δt, δt], axis=1), moving], axis=1), δr
@@ -220,17 +261,18 @@ class PositionLevel(Kinematics):
         return B
 
     def columns(self, act: Index) -> Array:
-        """The rows' operators; with rays N1,α; with friction N2(η_{n−1}) on the old target facet."""
+        """The rows' operators; with rays N1,α; with friction N2(η_{n−1}) on the old target facet, with both N2,α there."""
         rows, dim = self.rows(act), self.target.dim
         n, r, k = rows.shape
-        old = self.weights[act] if self.friction else np.zeros((n, 0))
-        B = np.zeros((n, r + dim * self.target.uses_rays + self.friction, k + old.shape[1]))
-        B[:, :r, :k] = rows
+        old = self.weights[act][:, None] if self.friction else np.zeros((n, 0, 0))
+        if self.carries:
+            old = np.concatenate([old, self.slopes[act]], axis=1)
+        own = dim * self.target.uses_rays
+        B = np.zeros((n, r + own + old.shape[1], k + old.shape[2]))
+        B[:, :r, :k], B[:, r + own :, k:] = rows, old
         if self.target.uses_rays:
             dN1 = self.points.dN[act]
             B[:, r : r + dim, : dN1.shape[2]] = dN1
-        if self.friction:
-            B[:, -1, k:] = old
         return B
 
     @property

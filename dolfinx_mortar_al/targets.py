@@ -82,8 +82,9 @@ class Target(ABC):
         """The target's closest points to 𝐱 (n, gdim), whether they are faced or not."""
 
     @abstractmethod
-    def faced(self, points: ContactorPoints, nodes: Array) -> TargetPoint:
-        """Material points that `points` face, or else the closest ones, with the target's nodes at `nodes` (m)."""
+    def faced(self, points: ContactorPoints, nodes: Array) -> tuple[TargetPoint, NDArray[np.bool_]]:
+        """Material points that `points` face, or else the closest ones, with the target's nodes at `nodes` (m); (n,) which
+        are faced."""
 
     @property
     @abstractmethod
@@ -93,6 +94,15 @@ class Target(ABC):
     @abstractmethod
     def weights(self, point: TargetPoint) -> Array:
         """(n, k) shape functions of the target's nodes at material points."""
+
+    @abstractmethod
+    def derivatives(self, point: TargetPoint) -> Array:
+        """(n, dim, k) derivatives N,α of the shape functions at material points."""
+
+    def tangents(self, point: TargetPoint, derivatives: Array, nodes: Array | None = None) -> Array:
+        """(n, dim, gdim) tangents 𝐚_α at material points now, or with its nodes elsewhere (m)."""
+        nodes = self.nodes if nodes is None else nodes
+        return np.asarray(derivatives @ nodes[self.facets[point.facet]])
 
     @abstractmethod
     def positions(self, point: TargetPoint, weights: Array, place: Place | None = None) -> Array:
@@ -157,7 +167,7 @@ class DeformableTarget(Target):
         table = self._on_rays(x, points.normal, nodes)
         return cast(surface, nodes, x, points.normal, points.tangents, table, self._near)
 
-    def faced(self, points: ContactorPoints, nodes: Array) -> TargetPoint:
+    def faced(self, points: ContactorPoints, nodes: Array) -> tuple[TargetPoint, NDArray[np.bool_]]:
         search = CandidateSearch(self.surface)
         table = RaySearch(self.surface)(points.x, points.normal, nodes)
         at = cast(self.surface, nodes, points.x, points.normal, points.tangents, table, search)
@@ -165,7 +175,7 @@ class DeformableTarget(Target):
         if len(lost):
             near = project(self.surface, nodes, points.x[lost], search(points.x[lost], nodes)).point
             at.point.facet[lost], at.point.η[lost] = near.facet, near.η
-        return at.point
+        return at.point, at.facing
 
     def closest(self, x: Array) -> ClosestPoint:
         return project(self.surface, self._nodes, x, CandidateSearch(self.surface)(x, self._nodes))
@@ -177,6 +187,9 @@ class DeformableTarget(Target):
 
     def weights(self, point: TargetPoint) -> Array:
         return self.surface.shape.tabulate(point.η)[0]
+
+    def derivatives(self, point: TargetPoint) -> Array:
+        return self.surface.shape.tabulate(point.η, 1)[1]
 
     def positions(self, point: TargetPoint, weights: Array, place: Place | None = None) -> Array:
         nodes = self._nodes if place is None else place
@@ -214,8 +227,9 @@ class RigidTarget(Target):
     def nodes(self) -> Array:
         return np.zeros((0, self.fixed.shape[1]))
 
-    def faced(self, points: ContactorPoints, nodes: Array) -> TargetPoint:
-        return self.obstacle.project(points.x).point
+    def faced(self, points: ContactorPoints, nodes: Array) -> tuple[TargetPoint, NDArray[np.bool_]]:
+        at = self.obstacle.project(points.x)
+        return at.point, at.facing
 
     def project(self, points: ContactorPoints, place: Place | None = None) -> Projection:
         return self.obstacle.project(points.x)
@@ -225,6 +239,9 @@ class RigidTarget(Target):
 
     def weights(self, point: TargetPoint) -> Array:
         return np.zeros((len(point.facet), 0))
+
+    def derivatives(self, point: TargetPoint) -> Array:
+        return np.zeros((len(point.facet), self.dim, 0))
 
     def positions(self, point: TargetPoint, weights: Array, place: Place | None = None) -> Array:
         assert place is None or isinstance(place, Pose)

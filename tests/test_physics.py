@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from scenes import NU, E, beams, blocks, set_field, tip
+from scipy.stats import special_ortho_group
 
 from dolfinx_mortar_al import NewtonSolver, quasistatic
+from dolfinx_mortar_al.verify.mindlin import MU, plane
+from dolfinx_mortar_al.verify.model import integral
 
 #: projection and order of the multiplier: the default, the other two mixtures, and the paper's
 RULES = [("rays", 1), ("rays", 2), ("closest", 1), ("closest", 2)]
@@ -87,6 +90,53 @@ def test_superposed_rotation_gives_no_slip_and_rotated_forces(dim, projection, m
     tangential = pair.s - pair.at.ν * np.sum(pair.s * pair.at.ν, axis=1, keepdims=True)
     assert np.allclose(tangential, 0.0, atol=1e-10)
     assert np.allclose(pair.state.t, t @ Q.T, atol=1e-10 * 1e3 + 1e-10 * 1e7)  # Pa; gaps are good to 1e-16 × ε
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_slip_of_an_open_pair(dim):
+    """Bent beams 1 cm apart: a rotation of both is no slip; where the upper one is moved, too, its tangential motion is."""
+    gap = 0.01
+    problem, _ = beams(friction=0.5, mesh={"dim": dim, "along": (6, 5), "across": 1, "gap": gap})
+    pair = problem.pairs[0]
+    Q = special_ortho_group.rvs(dim, random_state=np.random.default_rng(2))
+    c = np.array([0.02, -gap, 0.01])[:dim]
+
+    def bent(X):
+        u = 1e-2 * np.sin(7 * X + 1.0) * (1 + (X[:, 1:2] > gap / 2))
+        u[:, 1] += -0.1 * X[:, 0] ** 2
+        return u
+
+    def tangential(v):
+        return v - pair.at.ν * np.sum(v * pair.at.ν, axis=1, keepdims=True)
+
+    def turn(motion):
+        set_field(problem, lambda X: (X + bent(X) + (X[:, 1:2] > gap / 2) * motion) @ Q.T - X, clamped=False)
+        pair.evaluate()
+        return tangential(pair.s)[faced]
+
+    set_field(problem, bent, clamped=False)
+    pair.evaluate()
+    faced = pair.at.facing.copy()
+    pair.commit()
+    oblique = np.abs(pair.kinematics.ρ[faced][:, :-1])
+    assert (
+        np.all(pair.at.g[faced] < -gap / 4) and problem.comm.allreduce(float(oblique.max(initial=0.0)), MPI.MAX) > 1e-3
+    )
+    assert np.allclose(turn(0 * c), 0.0, atol=1e-12)
+    assert np.allclose(turn(c), tangential(np.broadcast_to(Q @ c, pair.s.shape))[faced], atol=1e-12)
+
+
+def test_mirror_images_close_without_slip():
+    """Equal cylinders pressed together in one step to a/R = 0.085: tractions must be as small as the error of the
+    printed case, a/R, of which slopes of surfaces that turn by a/R are the source; they are 21 and 22 % of μp
+    with the gap carried by the contactor or by the target alone."""
+    scene = plane(0.085, 8, 9.0, 0.0)
+    problem, top = scene.problem()
+    top.x.array.reshape(-1, 2)[:] = [0.0, -scene.press]
+    NewtonSolver(problem).solve()
+    pair = problem.pairs[0]
+    p, q = (integral(pair, v**2) ** 0.5 for v in (pair.state.p, pair.state.t[:, 0]))
+    assert q < 0.085 * MU * p
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 from scipy.optimize import root
+from scipy.stats import special_ortho_group
 from test_projection import CELLS, curved_surface
 
+from dolfinx_mortar_al.carried import carried, components, vary_carried
 from dolfinx_mortar_al.closest_point import project
 from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.rays import FACING, cast
@@ -143,7 +145,9 @@ def test_variation_against_differences(cell, order, contactor_order):
     nodes1[:, -1] = 0.25 + (0.1 if d == 3 else 0.0) + 0.05 * np.sin(5 * nodes1[:, 0])
     old = TargetPoint(rng.integers(len(surface.facets), size=20), np.full((20, d - 1), 0.3))
     d1, d2 = rng.uniform(-1, 1, nodes1.shape), rng.uniform(-1, 1, surface.X.shape)
-    N_old = surface.shape.tabulate(old.η)[0]
+    N_old, dN_old = surface.shape.tabulate(old.η, 1)
+    on_old = surface.facets[old.facet]
+    ρ = rng.uniform(-1, 1, (20, d))  # a gap in which a point was, carried with the target
 
     def state(h):
         mine, theirs = nodes1 + h * d1, surface.X + h * d2
@@ -153,7 +157,7 @@ def test_variation_against_differences(cell, order, contactor_order):
         x = N1 @ mine
         every = np.tile(np.arange(len(surface.facets)), (20, 1))
         at = cast(surface, theirs, x, normal, tangents, every, CandidateSearch(surface))
-        return at, x - np.einsum("nk,nki->ni", N_old, theirs[surface.facets[old.facet]])
+        return at, x - np.einsum("nk,nki->ni", N_old, theirs[on_old]) - carried(dN_old @ theirs[on_old], ρ)
 
     h = 1e-6
     (at, _), (plus, s_plus), (minus, s_minus) = state(0.0), state(h), state(-h)
@@ -161,13 +165,16 @@ def test_variation_against_differences(cell, order, contactor_order):
     inside = (at.point.facet == plus.point.facet) & (at.point.facet == minus.point.facet)
     assert inside.sum() >= 15
     slots = Slots(d, d, ("x", "w", *(f"{slot},{α}" for slot in "wx" for α in range(d - 1)), "w_p"))
+    slots = Slots(d, d, (*slots.names, *(f"w_p,{α}" for α in range(d - 1))))
     δ2 = d2[surface.facets[at.point.facet]]
     given = {"x": N1 @ d1, "w": np.einsum("nk,nki->ni", at.N, δ2)}
     given |= {f"w,{α}": np.einsum("nk,nki->ni", at.dN[:, α], δ2) for α in range(d - 1)}
     given |= {f"x,{α}": dN1[:, α] @ d1 for α in range(d - 1)}
-    given["w_p"] = np.einsum("nk,nki->ni", N_old, d2[surface.facets[old.facet]])
+    given["w_p"] = np.einsum("nk,nki->ni", N_old, d2[on_old])
+    given |= {f"w_p,{α}": np.einsum("nk,nki->ni", dN_old[:, α], d2[on_old]) for α in range(d - 1)}
     z = np.concatenate([given[name] for name in slots.names] + [np.zeros((20, d))], axis=1)
     δ = vary(at, slots)
+    δ.s = δ.s - vary_carried(dN_old @ surface.X[on_old], ρ, slots, "w_p")
     for exact, difference in (
         (np.einsum("naz,nz->na", δ.η, z), plus.point.η - minus.point.η),
         (np.einsum("nz,nz->n", δ.g, z), plus.g - minus.g),
@@ -177,6 +184,19 @@ def test_variation_against_differences(cell, order, contactor_order):
         error = np.abs(exact - difference / (2 * h))[inside].max()
         assert error < 1e-6 * np.abs(exact[inside]).max()
         assert np.abs(exact[inside]).max() > 0.1
+
+
+@pytest.mark.parametrize("gdim", [2, 3])
+def test_a_vector_is_carried_with_its_facet(gdim):
+    """At first it is what it was; a rotation turns it, and a stretch of the facet leaves the part along the normal."""
+    rng = np.random.default_rng(12)
+    a, r = rng.uniform(-1, 1, (20, gdim - 1, gdim)), rng.uniform(-1, 1, (20, gdim))
+    Q = special_ortho_group.rvs(gdim, random_state=rng)
+    ρ = components(a, r)
+    assert np.allclose(carried(a, ρ), r, atol=1e-12)
+    assert np.allclose(carried(a @ Q.T, ρ), r @ Q.T, atol=1e-12)
+    m = surface_normal(a)
+    assert np.allclose(np.sum(m * (carried(3 * a, ρ) - r), axis=1), 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("cell", CELLS)

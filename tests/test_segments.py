@@ -135,4 +135,4 @@ def test_segments_need_rays():
 def test_segments_are_refused_in_impact():
     problem, _ = blocks(integration="segments")
     with pytest.raises(ValueError, match='take "gauss" in impact'):
-        problem.pairs[0].use_velocities(0.5)
+        problem.pairs[0].use_steps()

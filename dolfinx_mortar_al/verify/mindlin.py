@@ -235,10 +235,10 @@ PRINTED = "Cattaneo; its own error at the printed load is of order a/R = 8.5 %"
 )
 def mindlin_printed(quick: bool) -> Outcome:
     """The same cylinders at the load that is printed (a/R = 0.085), 20 cells per a, pressed in 1, 4 and 16 steps. The
-    order is that in the number of steps. This is what stalled: an open point that closes within a step has the slip
-    of the whole step, its approach included, and surfaces of slope x/R approach each other at an angle; facing points
-    part by about x³/R² before they touch. That leaves tractions of opposite sign on both sides before any shear.
-    Refining the mesh does not touch them, steps do: they are of first order in the step, and in a/R.
+    order is that in the number of steps. An open point that closes within a step has the slip of the whole step, its
+    approach included, in which surfaces of slope x/R turn to each other; the slip leaves that turn out (theory.md), so
+    that the traction hangs on the steps by no more than a/R of itself. Counted from one surface alone, points part by
+    about x³/R² before they touch, and one step has a traction that is wrong by a half.
     """
     runs = []
     for steps in (1, 4) if quick else (1, 4, 16):
