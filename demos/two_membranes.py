@@ -60,8 +60,7 @@ def simulate(args: argparse.Namespace, case: tuple[float, float, float], directo
     u, p = fem.Function(V), fem.Constant(mesh, 0.0)
 
     # the side of each membrane that faces the other, where contact is, and where the pressure pushes
-    up = [0.0, 1.0, 0.0][: args.dim]
-    down = [-x for x in up]
+    up, down = [0.0, 1.0, 0.0][: args.dim], [0.0, -1.0, 0.0][: args.dim]
     dx = ufl.Measure("dx", mesh, subdomain_data=cell_tags)
     sheet = membrane.neo_hookean_membrane(E=2e6, nu=0.3, thickness=1e-3)
     F = sheet.virtual_work(u, dx=dx)
