@@ -19,7 +19,6 @@ from dolfinx_mortar_al.obstacles import Obstacle
 from dolfinx_mortar_al.verify.case import Effort
 
 __all__ = [
-    "GAUSS",
     "elastic_stress",
     "elastic_work",
     "hold",
@@ -35,19 +34,10 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-#: options of every contact of the suite: one place to change them for all cases
-OPTIONS: dict[str, Any] = {}
-#: why quantities that need exact integrals miss their tolerances with Gauss points, or nothing
-GAUSS = (
-    ""
-    if OPTIONS.get("integration") == "segments"
-    else "Gauss points: the integrand has kinks where target facets end (integration.md)"
-)
-
 
 def make_contact(contactor: Surface, target: Surface | Obstacle, **options: Any) -> Contact:
-    """Every contact of the suite comes from here."""
-    return Contact(contactor, target, **(OPTIONS | options))
+    """Every contact of the suite comes from here: the package's defaults, but for what a case says."""
+    return Contact(contactor, target, **options)
 
 
 def space(domain: Any, order: int) -> tuple[fem.FunctionSpace, fem.Function]:

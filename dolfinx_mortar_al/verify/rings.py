@@ -12,7 +12,6 @@ from dolfinx_mortar_al import ContactProblem, Surface
 from dolfinx_mortar_al.verify.case import Effort, Outcome, Quantity, Run, case
 from dolfinx_mortar_al.verify.meshes import build, grid
 from dolfinx_mortar_al.verify.model import (
-    GAUSS,
     elastic_work,
     hold,
     integral,
@@ -63,7 +62,7 @@ def solve(n: int, E2: float) -> Run:
     F = elastic_work(u, E2, NU, dx(1), plane_stress=True) + elastic_work(u, E_OUTER, NU, dx(2), plane_stress=True)
     F += p * ufl.inner(ufl.FacetNormal(domain), ufl.TestFunction(V)) * ds(RIM)
     bcs = [hold(V, facets, X_AXIS, 1), hold(V, facets, Y_AXIS, 0)]
-    contact = make_contact(Surface(domain, facets, OUTSIDE), Surface(domain, facets, INSIDE))
+    contact = make_contact(Surface(domain, facets, OUTSIDE), Surface(domain, facets, INSIDE), integration="segments")
     problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
     march(problem, p, to=PRESSURE, increments=1, effort=effort)
     pair, exact = problem.pairs[0], contact_pressure(E_OUTER, E2)
@@ -88,7 +87,7 @@ LAME = "SSNP152 (code_aster V6.03.152), Lamé's rings; tested there to 0.2 … 0
     "rings",
     "Nested rings",
     [
-        Quantity(f"{name}: {what}", LAME, 2e-3, unit, scale, known=GAUSS if scale else "")
+        Quantity(f"{name}: {what}", LAME, 2e-3, unit, scale)
         for name in ("equal rings", "inner ring ten times stiffer")
         for what, unit, scale in (("mean pressure", "Pa", None), ("pressure, L2", "", 1.0))
     ],
