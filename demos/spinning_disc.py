@@ -1,7 +1,7 @@
 """A spinning disc bounces off a rigid plane (section 4.4 and figure 4).
 
 It illustrates a body in motion, a rigid obstacle, the energy ledger, and monitors that stop a run. A disc of radius R = 0.1 m
-flies at 45° onto the line y = 0, with μ = 0.3 and a spin of ω = 0 or ±200 rev/min. Moreau's θ-scheme with θ = ½ reads
+flies at 45° onto the line y = 0, with μ = 0.3 and a spin of ω = 0 or ±200 rev/min. A step reads
 
     ∫ ρ (v_{n+1} − v_n)/Δt · w dΩ + ∫ P(u_n, u_{n+1}) : ∇w dΩ − ∫ t·w dS₀ = 0,     u_{n+1} = u_n + Δt (v_n + v_{n+1})/2,
 

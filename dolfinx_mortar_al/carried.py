@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.projection import combine, dot, inverse
+from dolfinx_mortar_al.projection import combine, dot, dual
 from dolfinx_mortar_al.surface import surface_normal
 from dolfinx_mortar_al.variation import Slots
 
@@ -21,7 +21,7 @@ def components(a: Array, r: Array) -> Array:
     """(n, gdim) the components ρ^α, ρ of vectors 𝐫 (n, gdim) in metres at tangents a (n, dim, gdim): ρ^α are shares of 𝐚_α,
     ρ is in metres."""
     m = _unit_normal(a)
-    return np.concatenate([(_dual(a) @ r[:, :, None])[:, :, 0], dot(m, r)[:, None]], axis=1)
+    return np.concatenate([(dual(a) @ r[:, :, None])[:, :, 0], dot(m, r)[:, None]], axis=1)
 
 
 def carried(a: Array, ρ: Array) -> Array:
@@ -34,14 +34,9 @@ def vary_carried(a: Array, ρ: Array, slots: Slots, name: str) -> Array:
     wα = slots.derivatives(name)
     stretched = np.tensordot(ρ[:, :-1], wα, axes=(1, 0))
     tilt = np.einsum("ni,biz->nbz", _unit_normal(a), wα)
-    return np.asarray(stretched - ρ[:, -1, None, None] * (np.swapaxes(_dual(a), 1, 2) @ tilt))
+    return np.asarray(stretched - ρ[:, -1, None, None] * (np.swapaxes(dual(a), 1, 2) @ tilt))
 
 
 def _unit_normal(a: Array) -> Array:
     m = surface_normal(a)
     return np.asarray(m / np.linalg.norm(m, axis=1, keepdims=True))
-
-
-def _dual(a: Array) -> Array:
-    """(n, dim, gdim) 𝐚^α."""
-    return np.asarray(inverse(a @ np.swapaxes(a, 1, 2)) @ a)

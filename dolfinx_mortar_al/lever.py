@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.projection import dot, inverse
+from dolfinx_mortar_al.projection import dot, dual
 
 __all__ = ["Lever"]
 
@@ -23,10 +23,9 @@ class Lever:
     """The operator 𝐀^α at n points, in the middle of a step or at its end.
 
     Attributes:
-        a: (n, dim, gdim) tangents 𝐚_α; dual: (n, dim, gdim) 𝐚^α; n: (n, gdim) unit normal; r: (n, gdim) 𝐱 − 𝐲.
+        dual: (n, dim, gdim) 𝐚^α; n: (n, gdim) unit normal; r: (n, gdim) 𝐱 − 𝐲.
     """
 
-    a: Array
     dual: Array
     n: Array
     r: Array
@@ -34,7 +33,7 @@ class Lever:
     @classmethod
     def of(cls, a: Array, normal: Array, r: Array) -> Lever:
         """From tangents, a normal of any length, and the distance."""
-        return cls(a, inverse(a @ np.swapaxes(a, 1, 2)) @ a, normal / np.linalg.norm(normal, axis=1, keepdims=True), r)
+        return cls(dual(a), normal / np.linalg.norm(normal, axis=1, keepdims=True), r)
 
     @property
     def along(self) -> Array:
@@ -48,13 +47,22 @@ class Lever:
 
     def carry(self, Δa: Array) -> Array:
         """(n, gdim) 𝐀^α Δ𝐚_α: how 𝐫 would change with the contactor's facet; Δa (n, dim, gdim)."""
-        turned = np.einsum("na,nai->ni", (Δa @ self.n[:, :, None])[:, :, 0], self.dual)
-        return np.einsum("na,nai->ni", self.along, Δa) - self.height[:, None] * turned
+        return np.asarray(self.carry_map(Δa[..., None])[..., 0])
+
+    def carry_map(self, δa: Array) -> Array:
+        """(n, gdim, z) 𝐀^α δ𝐚_α of maps δ𝐚_α (dim, gdim, z), or (n, dim, gdim, z)."""
+        δa = np.broadcast_to(δa, (len(self.r), *δa.shape[-3:]))
+        tilt, moved = np.einsum("ni,naiz->naz", self.n, δa), np.einsum("na,naiz->niz", self.along, δa)
+        return np.asarray(moved - self.height[:, None, None] * np.einsum("naz,nai->niz", tilt, self.dual))
 
     def transposed(self, F: Array) -> Array:
         """(n, dim, gdim) (𝐀^α)ᵀ 𝐅, the forces on the tangents."""
-        lifted = (self.dual @ F[:, :, None])[:, :, 0] * self.height[:, None]
-        return np.asarray(self.along[:, :, None] * F[:, None] - lifted[:, :, None] * self.n[:, None])
+        return np.asarray(self.transposed_map(F[..., None])[..., 0])
+
+    def transposed_map(self, δF: Array) -> Array:
+        """(n, dim, gdim, z) (𝐀^α)ᵀ δ𝐅 of a map δ𝐅 (n, gdim, z)."""
+        lifted = (self.dual @ δF) * self.height[:, None, None]
+        return np.asarray(self.along[:, :, None, None] * δF[:, None] - lifted[:, :, None] * self.n[:, None, :, None])
 
     def vary_parts(self, δa: Array, δr: Array) -> tuple[Array, Array, Array, Array]:
         """δ𝐚^α (n, dim, gdim, z), δ𝐧 (n, gdim, z), δ(𝐚^α·𝐫) (n, dim, z) and δ(𝐧·𝐫) (n, z), of δ𝐚_α (dim, gdim, z) and
@@ -86,14 +94,3 @@ class Lever:
         factor = lifted[:, :, None] * δheight[:, None] + height * δlifted
         moved = δalong[:, :, None] * F[:, None, :, None] - factor[:, :, None] * self.n[:, None, :, None]
         return np.asarray(moved - (height * lifted[:, :, None])[..., None] * δn[:, None])
-
-    def carry_map(self, δa: Array) -> Array:
-        """(n, gdim, z) 𝐀^α δ𝐚_α of maps δ𝐚_α (dim, gdim, z)."""
-        tilt = np.einsum("ni,aiz->naz", self.n, δa)
-        turned = np.einsum("naz,nai->niz", tilt, self.dual)
-        return np.asarray(np.einsum("na,aiz->niz", self.along, δa) - self.height[:, None, None] * turned)
-
-    def transposed_map(self, δF: Array) -> Array:
-        """(n, dim, gdim, z) (𝐀^α)ᵀ δ𝐅."""
-        lifted = (self.dual @ δF) * self.height[:, None, None]
-        return np.asarray(self.along[:, :, None, None] * δF[:, None] - lifted[:, :, None] * self.n[:, None, :, None])

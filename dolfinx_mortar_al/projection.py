@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Projection", "TargetPoint", "combine", "dot", "inverse"]
+__all__ = ["Projection", "TargetPoint", "combine", "dot", "dual", "inverse"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -65,6 +65,11 @@ def combine(N: Array, nodes: Array) -> Array:
 def dot(a: Array, b: Array) -> Array:
     """(n,) 𝐚·𝐛 of (n, gdim) and (n, gdim)."""
     return np.asarray(np.einsum("ni,ni->n", a, b))
+
+
+def dual(a: Array) -> Array:
+    """(n, dim, gdim) contravariant tangents 𝐚^α of tangents 𝐚_α (n, dim, gdim)."""
+    return np.asarray(inverse(a @ np.swapaxes(a, 1, 2)) @ a)
 
 
 def inverse(A: Array) -> Array:

@@ -32,9 +32,7 @@ Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
 FOLLOWS = 3  # iterations of a solve in which points and directions are chosen again
-STILL = (
-    1e-3  # of a facet: relative motions below are no direction for κ; what it leaves out is of third order in the step
-)
+STILL = 1e-3  # of a facet: relative motions below are no direction for κ, which leaves out terms of third order
 DEPTH = 0.05  # of a facet, behind which an open point that came through its front has not been seen by contact
 
 
@@ -201,9 +199,9 @@ class StepLevel(Kinematics):
         own = () if self.target.is_rigid else tuple(f"x,{α}" for α in range(self.target.dim))
         return Slots(self.target.dim + 1, multiplier, ("x", "w", *own, "w_e"))
 
-    def _total(self, state: LawState) -> Array:
-        """(n, gdim) 𝐅 = 𝐭 + p(𝐦̂ − ν + κ𝐰)."""
-        return state.t + state.p[:, None] * self._c
+    def _total(self, state: LawState, act: Index | None = None) -> Array:
+        """(n, gdim) 𝐅 = 𝐭 + p(𝐦̂ − ν + κ𝐰) at all points, or those `act` whose `state` it is."""
+        return np.asarray(state.t + state.p[:, None] * (self._c if act is None else self._c[act]))
 
     def forces(self, state: LawState) -> Forces:
         F = self._total(state)
@@ -243,13 +241,10 @@ class StepLevel(Kinematics):
         δF = δt + self._c[act][:, :, None] * δp[:, None] + p * (w[:, :, None] * δκ[:, None] + κ[:, None, None] * δw)
         C = np.stack([-δF, δF], axis=1)
         if not self.target.is_rigid:
-            F = self._total_at(state, act)
+            F = self._total(state, act)
             on_tangents = lever.transposed_map(δF) + lever.vary_transposed(F, δa / 2, δr / 2)
             C = np.concatenate([C, on_tangents], axis=1)
         return C, δresidual
-
-    def _total_at(self, state: LawState, act: Index) -> Array:
-        return state.t + state.p[:, None] * self._c[act]
 
     def rows(self, act: Index) -> Array:
         """N1; N2; N1,α."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.closest_point import ClosestPoint
-from dolfinx_mortar_al.projection import Projection, inverse
+from dolfinx_mortar_al.projection import Projection, dual
 from dolfinx_mortar_al.rays import RayHit
 from dolfinx_mortar_al.surface import surface_normal
 
@@ -84,10 +84,11 @@ def vary_gap(at: Projection, slots: Slots, target: str) -> Array:
     if not isinstance(at, RayHit):
         return np.asarray(-at.ν @ (δx - w))
     m = scaled_normal(at)
-    dual = inverse(at.tangents @ np.swapaxes(at.tangents, 1, 2)) @ at.tangents
     # −m̂·(δ𝐱 − w + d δ𝐧) with δ𝐧 = −𝐚₁^α (𝐧·δ𝐱,α), 𝐧 = −ν, d = −g
     turned = np.einsum(
-        "naz,na->nz", np.tensordot(at.ν, slots.derivatives("x"), axes=(1, 1)), (dual @ m[:, :, None])[:, :, 0]
+        "naz,na->nz",
+        np.tensordot(at.ν, slots.derivatives("x"), axes=(1, 1)),
+        (dual(at.tangents) @ m[:, :, None])[:, :, 0],
     )
     return np.asarray(-m @ (δx - w) + at.g[:, None] * turned)
 
@@ -103,8 +104,7 @@ def scaled_normal(at: Projection) -> Array:
 def _vary_ray(at: RayHit, slots: Slots) -> Variation:
     """δ𝐧 = −𝐚₁^α (𝐧·δ𝐱,α),  [𝐚_α, −𝐧](δη, δd) = δ𝐱 − w + d δ𝐧,  δg = −δd,  δν = −δ𝐧; the slip is s = 𝐱 − φ₂(Y_{n−1})."""
     n, w, δx = -at.ν, slots.slot("w"), slots.slot("x")
-    dual = inverse(at.tangents @ np.swapaxes(at.tangents, 1, 2)) @ at.tangents
-    δn = -np.swapaxes(dual, 1, 2) @ np.tensordot(n, slots.derivatives("x"), axes=(1, 1))
+    δn = -np.swapaxes(dual(at.tangents), 1, 2) @ np.tensordot(n, slots.derivatives("x"), axes=(1, 1))
     M = np.concatenate([np.swapaxes(at.a, 1, 2), at.ν[:, :, None]], axis=2)
     M[~at.facing] = np.eye(slots.gdim)
     solution = np.linalg.solve(M, (δx - w) - at.g[:, None, None] * δn)

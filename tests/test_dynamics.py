@@ -1,4 +1,4 @@
-"""Moreau's scheme on free flights and impacts: balances of energy and momentum, materials, adaptivity, bad input."""
+"""Free flights and impacts: balances of energy and momentum, materials, adaptivity, bad input."""
 
 import numpy as np
 import pytest
