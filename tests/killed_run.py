@@ -1,9 +1,9 @@
 """A run to be interrupted and resumed: an impact with friction, or a quasi-static march.
 
-    python3 killed_run.py DIR impact|bending [--steps N] [--fault KIND --after SECONDS --rank RANK]
+    python3 killed_run.py DIR impact|bending [--steps N] [--fault KIND --calls N --delay SECONDS --rank RANK]
 
-A fault strikes one rank some time after it has begun: an exception anywhere in Python, in the load's callback or in writing a
-file, or SIGKILL.
+A fault strikes one rank of the march once its load has been set N times (0: from the start of the program): an exception in
+that callback or in the next file that is written, or, some time later, anywhere in Python or as SIGKILL.
 """
 
 import argparse
@@ -11,7 +11,6 @@ import errno
 import os
 import signal
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -67,14 +66,18 @@ class Faults:
     """What is to go wrong, and when."""
 
     def __init__(self, args):
-        self.kind, self.when = args.fault, time.monotonic() + args.after
-        if self.kind is None or MPI.COMM_WORLD.rank != args.rank:
-            self.when = np.inf
+        self.kind, self.delay = args.fault, args.delay
+        self.left = args.calls if self.kind and MPI.COMM_WORLD.rank == args.rank else np.inf
+        self._open = Path.open
+        if self.left == 0:
+            self._arm()
+
+    def _arm(self):
+        if self.kind == "write":
+            Path.open = lambda path, *mode, **options: self._write(path, *mode, **options)
         elif self.kind in ("anywhere", "kill"):
             signal.signal(signal.SIGALRM, self._strike)
-            signal.setitimer(signal.ITIMER_REAL, max(args.after, 1e-3))
-        elif self.kind == "write":
-            self._open, Path.open = Path.open, lambda path, *mode, **options: self._write(path, *mode, **options)
+            signal.setitimer(signal.ITIMER_REAL, max(self.delay, 1e-3))
 
     def _strike(self, *_):
         if self.kind == "kill":
@@ -82,13 +85,16 @@ class Faults:
         raise RuntimeError(FAULT)
 
     def _write(self, path, mode="r", **options):
-        if mode != "r" and time.monotonic() > self.when:
+        if mode != "r":
             raise OSError(errno.ENOSPC, FAULT)
         return self._open(path, mode, **options)
 
     def callback(self):
-        """To be called by a callback."""
-        if self.kind == "callback" and time.monotonic() > self.when:
+        """To be called by the load's callback."""
+        self.left -= 1
+        if self.left == 0:
+            self._arm()
+        if self.left <= 0 and self.kind == "callback":
             raise RuntimeError(FAULT)
 
 
@@ -120,7 +126,8 @@ if __name__ == "__main__":
     parser.add_argument("kind", choices=("impact", "bending"))
     parser.add_argument("--steps", type=int, default=40)
     parser.add_argument("--fault", choices=("anywhere", "callback", "write", "kill"))
-    parser.add_argument("--after", type=float, default=0.0)
+    parser.add_argument("--calls", type=int, default=0)
+    parser.add_argument("--delay", type=float, default=0.0)
     parser.add_argument("--rank", type=int, default=0)
     args = parser.parse_args()
     {"impact": impact, "bending": bending}[args.kind](args.directory, args.steps, Faults(args))
