@@ -5,11 +5,9 @@ For the benchmarks of impact; run those.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,8 +15,6 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.append(str(ROOT))
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, obstacles
 from dolfinx_mortar_al.contact import ContactPair
 from dolfinx_mortar_al.law import OPEN

@@ -12,9 +12,6 @@ contactor's facets and E of the softer block. It must not fall as both meshes ar
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import scipy.linalg
 import scipy.sparse
@@ -24,8 +21,6 @@ from dolfinx import fem
 from dolfinx.mesh import locate_entities_boundary
 from petsc4py import PETSc
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.append(str(ROOT))
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials
 from meshes.two_beams import LOWER, LOWER_TOP, UPPER_BOTTOM, TwoBeams
 

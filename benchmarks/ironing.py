@@ -41,7 +41,6 @@ from dolfinx import fem
 from mpi4py import MPI
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.append(str(ROOT))
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, output, quasistatic
 from meshes.ironing import PUNCH, PUNCH_BOTTOM, PUNCH_TOP, SLAB, SLAB_BOTTOM, SLAB_TOP, Ironing
 

@@ -10,8 +10,6 @@ stiffness (the worse of upper to lower 1e-3 and 1e3; ν = 0, or the softer would
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,8 +17,6 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import locate_entities_boundary
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.append(str(ROOT))
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials, quasistatic
 from meshes.two_beams import LOWER, LOWER_TOP, UPPER, UPPER_BOTTOM, TwoBeams
 

@@ -35,7 +35,6 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.append(str(ROOT))
 from robustness_scenes import FAMILIES, PLANE, Scene, draw
 
 REASONS = ("unstable", "inverted cell", "limit point")  # in the message of a StepFailure that counts as refused

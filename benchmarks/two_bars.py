@@ -13,7 +13,6 @@ import contextlib
 import io
 import json
 import math
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -25,8 +24,6 @@ import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.append(str(ROOT))
 from demos.two_bars import RHO, SPEED, E, plateau_force, release_time, simulate
 from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, materials, output
 from exact.two_bars import TwoBars as Exact

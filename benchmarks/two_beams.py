@@ -24,7 +24,6 @@ from dolfinx.fem import petsc
 from petsc4py import PETSc
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.append(str(ROOT))
 from dolfinx_mortar_al import loads, materials
 from meshes.two_beams import CLAMP, TIP, TwoBeams
 

@@ -26,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.append(str(ROOT))
 from demos.two_membranes import simulate
 from exact.two_membranes import TwoMembranes as Exact
 

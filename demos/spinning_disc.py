@@ -17,7 +17,6 @@ that a fraction of h/V_n after touch, h being the mesh size. --case stiff: E = 1
 """
 
 import argparse
-import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -28,7 +27,6 @@ from matplotlib.animation import PillowWriter
 from matplotlib.collections import PolyCollection
 from mpi4py import MPI
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
 from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, monitors, obstacles, output
 from dolfinx_mortar_al.quasistatic import StepFailure

@@ -14,7 +14,6 @@ of order h.
 """
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,6 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
 from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, output
 from exact.two_bars import TwoBars as Exact

@@ -13,7 +13,6 @@ with the contact traction t of eq. (1). Without friction the well-bent beams los
 """
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,6 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
 from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials, output, quasistatic
 from meshes.two_beams import CLAMP, LOWER_TOP, TIP, UPPER, UPPER_BOTTOM, TwoBeams

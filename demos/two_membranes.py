@@ -14,7 +14,6 @@ the line of contact reaches the fixed edges: with μ = 0.5 at 4670.9 Pa, so that
 """
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,6 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
 from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, membrane, monitors, output, quasistatic
 from exact.two_membranes import TwoMembranes as Exact

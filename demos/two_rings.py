@@ -19,7 +19,6 @@ with which no closed point flies on into the target. Lost is what friction and t
 """
 
 import argparse
-import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -30,7 +29,6 @@ from matplotlib.animation import PillowWriter
 from matplotlib.collections import PolyCollection
 from mpi4py import MPI
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, output
 from meshes.round_bodies import Round, RoundBodies
 

@@ -24,6 +24,7 @@ from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, matrix_with_pat
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.validation import check_cells, check_residual, listed
+from dolfinx_mortar_al.versions import geometry_degree
 
 __all__ = ["Bodies", "Body"]
 
@@ -54,7 +55,7 @@ class Body:
         #: pieces that nothing but contact holds, as found with the start state's stiffness
         self.floating: list[Piece] = []
         self._tension: Any = None  # few problems need it
-        self._residual = dolfinx_petsc.create_vector(self.F)
+        self._residual = fem.Function(self.space)
 
     @property
     def owned(self) -> int:
@@ -76,7 +77,7 @@ class Body:
 
     def residual(self) -> Array:
         """(owned dofs,) the bulk's residual (N), before Dirichlet rows are set; lifted where u misses its conditions."""
-        b = self._residual
+        b = self._residual.x.petsc_vec
         with b.localForm() as local:
             local.set(0.0)
         dolfinx_petsc.assemble_vector(b, self.F)
@@ -113,7 +114,7 @@ class Body:
         if self._tension is None:
             v, w = ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
             self._tension = fem.form(ufl.inner(ufl.grad(w), ufl.grad(v)) * cell_measure(self.u))
-        dolfinx_petsc.assemble_matrix(A, self._tension, bcs=self.bcs, diagonal=0.0)
+        dolfinx_petsc.assemble_matrix(A, self._tension, self.bcs, 0.0)
 
     def stiffness(self) -> PETSc.Mat:
         """The Jacobian without Dirichlet conditions, alone."""
@@ -426,8 +427,8 @@ def _check_space(u: fem.Function) -> None:
         raise ValueError(f"u has {V.dofmap.index_map_bs} components on a mesh in space of dimension {d}")
     if element.family.name != "P" or element.degree not in (1, 2) or element.discontinuous:
         raise ValueError(f"u: {V.ufl_element()} is not a continuous Lagrange element of order 1 or 2")
-    if domain.geometry.cmap.degree > element.degree:
+    if geometry_degree(domain) > element.degree:
         raise ValueError(
-            f"u has order {element.degree} on a mesh of order {domain.geometry.cmap.degree}: "
+            f"u has order {element.degree} on a mesh of order {geometry_degree(domain)}: "
             "take u at least of the mesh's order"
         )

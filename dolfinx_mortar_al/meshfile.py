@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 from dolfinx import mesh
-from dolfinx.io import gmshio
 from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.ranks import on_root
 from dolfinx_mortar_al.validation import whole
+from dolfinx_mortar_al.versions import read_from_msh
 
 __all__ = ["read_msh"]
 
@@ -43,7 +43,7 @@ def read_msh(path: Path | str, comm: MPI.Comm = MPI.COMM_WORLD, gdim: int = 2) -
     """
     gdim, path = whole("gdim", gdim, least=2, most=3), Path(path)
     on_root(comm, lambda: _check(path, gdim))
-    return gmshio.read_from_msh(str(path), comm, 0, gdim=gdim)
+    return read_from_msh(path, comm, gdim)
 
 
 def _check(path: Path, gdim: int) -> None:

@@ -11,11 +11,12 @@ from the facet's other nodes (one order lower across the facet), component by co
 from __future__ import annotations
 
 import numpy as np
-from dolfinx import fem, mesh
+from dolfinx import fem
 from dolfinx.la import InsertMode
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.surface import Facets, ShapeFunctions
+from dolfinx_mortar_al.versions import submesh
 
 __all__ = ["MultiplierSpace", "extrapolation"]
 
@@ -65,12 +66,12 @@ class MultiplierSpace:
     def __init__(self, facets: Facets, order: int, components: int, redundant: Bool) -> None:
         domain = facets.space.mesh
         self.components, self.shape = components, ShapeFunctions(facets.shape.cell, order)
-        self.submesh, entities = mesh.create_submesh(domain, facets.shape.dim, facets.entities)[:2]
+        self.submesh, entities = submesh(domain, facets.shape.dim, facets.entities)
         value = (components,) if components > 1 else ()
         V = fem.functionspace(self.submesh, ("Lagrange", order, value))
         self.field = fem.Function(V, name="multiplier")
         own = _own_nodes(self.shape, facets.shape)
-        self.dofs = _match(V, facets, own, np.asarray(entities))
+        self.dofs = _match(V, facets, own, entities)
         self.blocks = V.dofmap.index_map.local_to_global(self.dofs.ravel()).reshape(self.dofs.shape)
         self._mark(redundant[:, own])
         self.T = self._extrapolations(self.shape)

@@ -292,7 +292,7 @@ def probe(u: fem.Function, X: Sequence[float], cells: NDArray[np.int32] | None =
     cells = owned if cells is None else np.intersect1d(cells, owned).astype(np.int32)
     value = None
     if len(cells):
-        tree = geometry.bb_tree(mesh, mesh.topology.dim, cells, padding=1e-12)
+        tree = geometry.bb_tree(mesh, mesh.topology.dim, entities=cells, padding=1e-12)
         near = geometry.compute_collisions_points(tree, point)
         hit = geometry.compute_colliding_cells(mesh, near, point).links(0)
         if len(hit):

@@ -18,6 +18,8 @@ import ufl
 from dolfinx import fem, mesh
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.versions import geometry_degree
+
 __all__ = [
     "are_tags_of",
     "check_callable",
@@ -284,9 +286,9 @@ def check_cells(domain: mesh.Mesh) -> None:
     """
     geometry, tdim = domain.geometry, domain.topology.dim
     element = basix.create_element(
-        basix.ElementFamily.P, domain.basix_cell(), geometry.cmap.degree, basix.LagrangeVariant.equispaced
+        basix.ElementFamily.P, domain.basix_cell(), geometry_degree(domain), basix.LagrangeVariant.equispaced
     )
-    points = np.vstack([basix.make_quadrature(domain.basix_cell(), 2 * geometry.cmap.degree)[0]])
+    points = np.vstack([basix.make_quadrature(domain.basix_cell(), 2 * geometry_degree(domain))[0]])
     table = element.tabulate(1, points)[1 : tdim + 1, :, :, 0]  # (tdim, points, nodes)
     cells = geometry.dofmap[: domain.topology.index_map(tdim).size_local]
     X = geometry.x[cells, : geometry.dim].astype(np.float64)  # (cells, nodes, gdim)

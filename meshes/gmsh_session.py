@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 from dolfinx import mesh
-from dolfinx.io import gmshio
 from mpi4py import MPI
 
 from dolfinx_mortar_al.ranks import on_root
+from dolfinx_mortar_al.versions import model_to_mesh
 
 __all__ = ["distribute", "main", "structured_box"]
 
@@ -35,10 +35,10 @@ def distribute(build: Callable[[Any], None], comm: MPI.Comm, gdim: int) -> tuple
     """The mesh that `build(gmsh)` makes on rank 0, spread over `comm`: (mesh, cell tags, facet tags)."""
     if comm.rank > 0:
         on_root(comm, lambda: None)
-        return gmshio.model_to_mesh(None, comm, 0, gdim)
+        return model_to_mesh(None, comm, gdim)
     with _session() as gmsh:
         on_root(comm, lambda: build(gmsh))
-        return gmshio.model_to_mesh(gmsh.model, comm, 0, gdim)
+        return model_to_mesh(gmsh.model, comm, gdim)
 
 
 def structured_box(

@@ -119,7 +119,7 @@ def test_a_mesh_of_the_wrong_dimension():
     cells = np.array([[0, 1], [1, 2], [2, 3]], dtype=np.int64)
     element = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(3,)))
     root = comm.rank == 0
-    wire = mesh.create_mesh(comm, cells[: 3 * root], points[: 4 * root], element)
+    wire = mesh.create_mesh(comm, cells=cells[: 3 * root], x=points[: 4 * root], e=element)
     u = fem.Function(fem.functionspace(wire, ("Lagrange", 1, (3,))))
     F = ufl.inner(u, ufl.TestFunction(u.function_space)) * ufl.dx
     with pytest.raises(ValueError, match="mesh of dimension 1 in space of dimension 3"):

@@ -129,7 +129,7 @@ def build(bodies: Sequence[Body], comm: MPI.Comm = MPI.COMM_WORLD) -> tuple[mesh
     if comm.rank:
         x, cells, values, facets, tags = x[:0], cells[:0], values[:0], facets[:0], tags[:0]
     element = basix.ufl.element("Lagrange", first.kind, first.order, shape=(x.shape[1],))
-    domain = mesh.create_mesh(comm, cells, x, element)
+    domain = mesh.create_mesh(comm, cells=cells, x=x, e=element)
     marks = [
         _tags(domain, dim, *data) for dim, data in ((x.shape[1], (cells, values)), (x.shape[1] - 1, (facets, tags)))
     ]
