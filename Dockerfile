@@ -1,6 +1,8 @@
-# DOLFINx 0.9 and the package on Debian 13. The default command draws figure 1 into a mounted folder:
+# DOLFINx and the package, on Debian 13 (DOLFINx 0.9) or, with --build-arg DEBIAN=sid, on Debian's newest. The default command
+# draws figure 1 into a mounted folder:
 #   docker build -t dolfinx_mortar_al . && docker run --rm -v "$PWD/results:/results" dolfinx_mortar_al
-FROM debian:trixie-slim
+ARG DEBIAN=trixie
+FROM debian:${DEBIAN}-slim
 
 COPY debian-packages.txt /tmp/
 RUN apt-get update \
