@@ -20,6 +20,7 @@ from petsc4py import PETSc
 
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
+from dolfinx_mortar_al.moduli import yielding_share
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, matrix_with_pattern
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed
@@ -331,6 +332,8 @@ class Bodies:
     def stiffness(self) -> tuple[list[fem.Function], tuple[Index, Index]]:
         """Diagonal of the bulk's stiffness (N/m) of each body, and the pattern of all in compressed rows."""
         diagonals, indptr, indices = [], [np.zeros(1, dtype=np.int64)], []
+        #: the same diagonals, on a body's boundary as a pressure meets them
+        self.yielding = []
         for k, body in enumerate(self.bodies):
             A = body.stiffness()
             body.floating = floating_pieces(body.space, body.piece, body.prescribed(), A)
@@ -338,6 +341,8 @@ class Bodies:
             A.getDiagonal(diagonal.x.petsc_vec)
             diagonal.x.scatter_forward()
             diagonals.append(diagonal)
+            self.yielding.append(yielding_share(body.space, A))
+            self.yielding[-1].x.array[:] *= diagonal.x.array
             rows, columns, _ = A.getValuesCSR()
             block, component = np.divmod(columns.astype(np.int64), self.gdim)
             indices.append(self.common(k, block) * self.gdim + component)

@@ -238,7 +238,7 @@ class ContactPair(PairResults):
         return np.concatenate([values.reshape(-1, self.gdim) for values in [np.zeros((0, self.gdim)), *mine]])
 
     def surface_stiffness(self, diagonals: Sequence[fem.Function]) -> float:
-        """The softer side's mean nodal stiffness per facet area (Pa/m), from the diagonals (N/m) of the bodies' matrices."""
+        """The softer side's mean nodal stiffness per facet area (Pa/m), from diagonals (N/m) of the bodies' matrices."""
         mine = next(d for d in diagonals if d.function_space is self._body1.space)
         own = self._at_nodes(mine).mean(axis=(1, 2)) / self.integration.sum_by_facet(self.j)
         count = self.comm.allreduce(self.facets.size)

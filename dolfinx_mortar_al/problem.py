@@ -106,7 +106,7 @@ class ContactProblem:
         with self.stopwatch("bulk"):
             stiffness = self._create_matrices()
         for pair in self.pairs:
-            pair.set_law(pair.surface_stiffness(stiffness))
+            pair.set_law(pair.surface_stiffness(self.bodies.yielding))
             pair.start()
         for pair in self.pairs:
             pair.check_behind()

@@ -1,0 +1,80 @@
+"""What a surface yields to pressure, from a stiffness matrix alone: the part of a nodal stiffness that volume change owns.
+
+A pressure on a surface meets the plane-strain modulus E' = E/(1 − ν²), the diagonal of the stiffness holds the modulus of
+uniaxial strain M = λ + 2G, which has no bound as ν → 1/2. A linear displacement strains a body uniformly; the stiffness times
+it is, at a node of the boundary, the traction times n = ∫ N n da, on any mesh. In d dimensions, with e_i X_j the displacement
+of component i alone, the two vectors
+
+    X:  p = (d λ + 2 G) n,        Σ_i component i of e_i X_j:  q_j = (λ + (d + 1) G) n_j,
+
+give G and λ, and E' = 4 G (1 − G/M).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem
+from dolfinx.la import InsertMode
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+__all__ = ["yielding_share"]
+
+Array = NDArray[np.float64]
+
+ELASTIC = 1e-6  # of a node's stiffness: what a translation meets must be less, else inertia or springs are in it
+
+
+def yielding_share(V: fem.FunctionSpace, A: PETSc.Mat) -> fem.Function:
+    """E'/M near each node on the boundary of a body, the same in all components; 1 on membranes and where a translation
+    meets a force, for inertia or springs are in A then (collective).
+
+    Args:
+        V: the displacement's space.
+        A: stiffness of the body in its start state, without Dirichlet conditions.
+    """
+    share, d = fem.Function(V), V.mesh.geometry.dim
+    share.x.array[:] = 1.0
+    if V.mesh.topology.dim < d:
+        return share
+    X = V.tabulate_dof_coordinates()[:, :d]
+    X = X - X.mean(axis=0) if len(X) else X
+    field, e = fem.Function(V), np.eye(d)
+    result = A.createVecLeft()
+
+    def times(values: Array) -> Array:
+        """(owned nodes, d) A times a displacement given at this rank's nodes."""
+        field.x.array[:] = values.ravel()
+        A.mult(field.x.petsc_vec, result)
+        return np.array(result.array_r).reshape(-1, d)
+
+    p = times(X)
+    q = np.stack([sum(times(np.outer(X[:, j], e[i]))[:, i] for i in range(d)) for j in range(d)], axis=1)
+    held = np.abs(times(np.ones_like(X))).max(axis=1) > ELASTIC * np.abs(A.getDiagonal().array_r.reshape(-1, d)).max(
+        axis=1
+    )
+    p, q = (np.linalg.norm(v, axis=1) for v in (p, q))
+    G = (d * q - p) / ((d + 2) * (d - 1))
+    M = (p - 2 * G) / d + 2 * G
+    # a vertex of a quadratic triangle has no ∫ N da: take nodes with those of their cells
+    G, M = (_near(V, np.where(held, 0.0, v)) for v in (G, M))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r = np.where((G > 0) & (M > G), G / M, 0.5)
+    share.x.array[:] = np.repeat(4 * r * (1 - r), d)
+    return share
+
+
+def _near(V: fem.FunctionSpace, values: Array) -> Array:
+    """(nodes,) sums over the nodes of all cells at a node, of `values` (owned nodes,); ghosts are up to date."""
+    d, f = V.dofmap.index_map_bs, fem.Function(V)
+    f.x.array[: len(values) * d] = np.repeat(values, d)
+    f.x.scatter_forward()
+    owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
+    cells, nodes = V.dofmap.list[:owned], f.x.array[::d].copy()
+    f.x.array[:] = 0.0
+    sums = np.zeros(len(nodes))
+    np.add.at(sums, cells, nodes[cells].sum(axis=1)[:, None])
+    f.x.array[:] = np.repeat(sums, d)
+    f.x.scatter_reverse(InsertMode.add)
+    f.x.scatter_forward()
+    return f.x.array[::d].copy()
