@@ -52,6 +52,7 @@ def march(
     other_ε: bool = False,
     verbose: bool = False,
     integration: str = "gauss",
+    ε: float | None = None,
 ) -> dict[str, Any]:
     """One run of a scene, with `refinement` times as many increments: steps (per asked-for increment the iterations, rejected
     trials and facets of sliding), forces at the end of each stage, error, checks of the last state."""
@@ -63,7 +64,7 @@ def march(
     result: dict[str, Any] = {"steps": [], "forces": [], "error": None, "kind": None}
     kind = "set-up"
     try:
-        model = Model(scene, other_ε, integration)
+        model = Model(scene, other_ε, integration, ε)
         kind = "step"
         for k, stage in enumerate(scene.stages):
             count = [0, 0]

@@ -117,6 +117,12 @@ def create(scene: Scene) -> tuple[Any, Any, Any]:
     for tag, body in bodies.items():
         mine = upper == (tag == UPPER)
         x[mine, :d] = _place(body, x[mine, :d] - np.eye(d)[0] * 2.0 * (tag - LOWER), tag == UPPER)
+    for angle, mine in zip(scene.tilt, (~upper, upper), strict=True):
+        if angle:
+            axes = [1, 2] if d == 3 and not upper[mine].any() else [0, 1]
+            middle = (x[mine].min(axis=0) + x[mine].max(axis=0)) / 2
+            x[np.ix_(mine, axes)] = turned(angle, (x[mine] - middle)[:, axes]) + middle[axes]
+            x[mine, 1] -= x[mine, 1].max() if not upper[mine].any() else 0.0
     domain.topology.create_connectivity(d - 1, d)
     touching = []
     for tag in bodies:

@@ -27,11 +27,11 @@ SAMPLES = {1: 6, 2: 4}  # and of the contactor
 class Model:
     """The problem of a scene, `set_load(stage)` for each stage's march, and checks of its state.
 
-    `other_ε`: with augmentation parameters of the softer E over a length of 0.1 m instead of the package's own; `integration`
-    as in :class:`~dolfinx_mortar_al.Contact`.
+    `other_ε`: with augmentation parameters of the softer E over a length of 0.1 m instead of the package's own; `ε`: with
+    this one (Pa/m); `integration` as in :class:`~dolfinx_mortar_al.Contact`.
     """
 
-    def __init__(self, scene: Scene, other_ε: bool = False, integration: str = "gauss") -> None:
+    def __init__(self, scene: Scene, other_ε: bool = False, integration: str = "gauss", ε: float | None = None) -> None:
         self.scene = scene
         self.mesh, self.cell_tags, self.facet_tags = create(scene)
         V = fem.functionspace(self.mesh, ("Lagrange", scene.order, (scene.dim,)))
@@ -42,11 +42,8 @@ class Model:
         self._bulk = fem.form(F)
         sides = [Surface(self.mesh, *self._surface(body)) for body in (UPPER, LOWER)]
         contactor, target = reversed(sides) if scene.swap else sides
-        ε = (
-            10 * min(scene.lower.E, scene.upper.E) * (scene.lower.size[1] if self.is_membrane else 1.0)
-            if other_ε
-            else None
-        )
+        if other_ε:
+            ε = 10 * min(scene.lower.E, scene.upper.E) * (scene.lower.size[1] if self.is_membrane else 1.0)
         options = {"epsilon_normal": ε, "epsilon_tangential": ε}
         contacts = [Contact(contactor, target, friction=scene.friction, integration=integration, **options)]
         self.problem = ContactProblem(F, self.u, bcs=self._conditions(), contacts=contacts)

@@ -86,7 +86,8 @@ class Scene:
     `gap` is between the bodies at the start (negative: they overlap); all is turned by `incline` (rad) about z. `swap`: the
     lower body is the contactor. `load`: "none", "weight" (force per volume), "dead" or "follower" (traction on the loaded
     face; the follower's along its own normal axis), "tip" (the loaded face's top is driven down), "pressure" (of both
-    membranes). `held`: the upper body's held faces are driven in "all" components, along "x" only, or "not" at all.
+    membranes). `held`: the upper body's held faces are driven in "all" components, along "x" only, or "not" at all. `tilt`:
+    of each body about its own middle at first (rad), about z, the lower one's in space about x.
     """
 
     seed: int
@@ -105,6 +106,7 @@ class Scene:
     load: str = "none"
     held: str = "all"
     incline: float = 0.0
+    tilt: tuple[float, float] = (0.0, 0.0)
 
     @property
     def name(self) -> str:

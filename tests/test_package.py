@@ -39,7 +39,7 @@ for step in quasistatic.march(problem, load, to=0.1, increments=2):
 @pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="installs into a folder of one process")
 def test_an_installed_copy_works_from_another_folder(tmp_path):
     """The wheel holds the package and nothing else; a scene runs from it, away from the clone."""
-    build = "from setuptools.build_meta import build_wheel; build_wheel(%r)" % str(tmp_path)
+    build = f"from setuptools.build_meta import build_wheel; build_wheel({str(tmp_path)!r})"
     source = tmp_path / "source"  # setuptools builds into the folder it builds from
     source.mkdir()
     for name in ("pyproject.toml", "README.md", "dolfinx_mortar_al", "meshes", "exact", "LICENSE"):
