@@ -25,8 +25,8 @@ th, td { white-space: nowrap; } caption { text-align: left; font-style: italic; 
 
 @dataclass
 class Section:
-    """A part of the page: heading, prose, commands, pictures (files), tables (caption, then rows of text, the first the head), text that
-    a command printed, and whether that command failed."""
+    """A part of the page: heading, prose, commands, pictures (files), tables (caption, then rows of text, the first the
+    head), text that a command printed, and whether that command failed."""
 
     title: str
     prose: str = ""

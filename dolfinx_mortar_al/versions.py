@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from dolfinx import mesh
+import ufl
+from dolfinx import fem, mesh
 from mpi4py import MPI
 from numpy.typing import NDArray
 
@@ -15,7 +17,7 @@ try:
 except ImportError:  # 0.9
     from dolfinx.io import gmshio as _gmsh
 
-__all__ = ["geometry_degree", "model_to_mesh", "read_from_msh", "submesh"]
+__all__ = ["geometry_degree", "model_to_mesh", "read_from_msh", "submesh", "whole_form"]
 
 
 def model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[mesh.Mesh, Any, Any]:
@@ -46,3 +48,27 @@ def geometry_degree(domain: mesh.Mesh) -> int:
     """Degree of the cells' map from their reference cell; `cmap` gave way to `cmaps` in 0.11."""
     geometry = domain.geometry
     return int((geometry.cmaps[0] if hasattr(geometry, "cmaps") else geometry.cmap).degree)
+
+
+def whole_form(F: Any, domain: mesh.Mesh) -> Any:
+    """F so written that no integral of it is lost.
+
+    UFL gathers equal integrands over several subdomains into one integral; DOLFINx 0.9 keeps one integral per subdomain and
+    so drops, without a word, what is integrated there with other metadata: the weight of one of two bodies of the same
+    material, say. A factor of one, its own on each subdomain, keeps the integrands apart where that may happen.
+    """
+    ids, metadata = defaultdict(set), defaultdict(set)
+    for integral in F.integrals():
+        ids[integral.integral_type()].add(integral.subdomain_id())
+        metadata[integral.integral_type()].add(repr(sorted(integral.metadata().items(), key=repr)))
+    mixed = {kind for kind in ids if len(ids[kind]) > 1 and len(metadata[kind]) > 1}
+    if not mixed:
+        return F
+    one = {(kind, k): fem.Constant(domain, 1.0) for kind in mixed for k in ids[kind]}
+    keys = [(integral.integral_type(), integral.subdomain_id()) for integral in F.integrals()]
+    return ufl.Form(
+        [
+            integral.reconstruct(one[key] * integral.integrand()) if key in one else integral
+            for key, integral in zip(keys, F.integrals(), strict=True)
+        ]
+    )
