@@ -236,10 +236,7 @@ class _Stepper:
         self._work = self._contact_work()
         reasons = [str(f) for f in self._findings if f.fatal]
         allowed = GAIN * max(self.ledger.total + self.ledger.impact_loss + self.ledger.friction_dissipation, 0.0)
-        done, so_far = self._work, self.ledger.impact_loss + self.ledger.friction_dissipation
-        # beyond what the augmentation gives back, or more than was lost before
-        released = max(done.lost + done.normal, 0.0)
-        gain = max(done.normal + done.tangential - released, done.tangential - done.lost - so_far)
+        gain = max(-self._work.lost, self._work.tangential)
         if gain > allowed:
             reasons.append(f"contact would give {gain:.3g} J to the bodies in this step; take a smaller one")
         for pair, level in zip(self.problem.pairs, self.levels, strict=True):
@@ -298,7 +295,7 @@ class _Stepper:
         for motion in self.motions:
             motion.accept()
         self._rate = self._next_rate
-        settled = self._projection.apply(Δt)
+        settled = self._projection.apply(Δt, -done.tangential)
         forces = tuple(pair.force() + i / Δt for pair, i in zip(problem.pairs, settled.impulses, strict=True))
         problem.commit()
         now = self._with_state(last)

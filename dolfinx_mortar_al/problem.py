@@ -277,7 +277,7 @@ class ContactProblem:
 
     def follow(self, f: PETSc.Vec) -> None:
         """At the start of a Newton iteration let the pairs choose anew what they hold in between (collective)."""
-        if any([pair.kinematics.follow() for pair in self.pairs]):
+        if any([pair.follow() for pair in self.pairs]):
             self.reconsider(f)
 
     def reconsider(self, f: PETSc.Vec) -> None:
