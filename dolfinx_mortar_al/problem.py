@@ -286,6 +286,10 @@ class ContactProblem:
             pair.apply_law()
         self.add_contact(f)
 
+    def masses(self, forms: Sequence[Any]) -> tuple[PETSc.Mat, list[fem.Function]]:
+        """The bodies' mass matrix from one bilinear form per body, and its diagonal on each."""
+        return self.bodies.masses(forms, self._bulk_pattern)
+
     def bulk_jacobian(self) -> PETSc.Mat:
         """The displacements' block of the Jacobian last assembled, without contact's share, at the same state."""
         bulk = self.blocks[0][0].copy()

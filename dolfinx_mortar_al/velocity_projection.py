@@ -71,7 +71,7 @@ class VelocityProjection:
 
     def __init__(self, problem: ContactProblem, motions: Sequence[Motion]) -> None:
         self._problem, self._motions = problem, motions
-        self._mass, diagonals = problem.bodies.masses([motion.mass_form for motion in motions])
+        self._mass, diagonals = problem.masses([motion.mass_form for motion in motions])
         #: (kg/m²) of each pair's surface
         self._density = [pair.surface_stiffness(diagonals) for pair in problem.pairs]
         self._layouts = [problem.bodies.layout]
