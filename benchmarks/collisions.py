@@ -105,8 +105,9 @@ class Collision:
 def mean_gap(pair: ContactPair) -> float:
     """Largest weighted penetration ∫ N g / ∫ N of the multiplier's nodes (m) on this rank, over closed facets: what the
     method holds at zero, besides its augmentation."""
-    k, N = pair.kinematics, np.abs(pair.blocks.NΛ[:, :, 0])
-    nodes = pair.multiplier.dofs[pair.integration.facet]
+    k, points = pair.kinematics, pair.integration
+    N = np.abs(pair.multiplier.at(points.facet, points.η)[:, :, 0])
+    nodes = pair.multiplier.dofs[points.facet]
     total, closed, gap = (np.zeros(nodes.max() + 1) for _ in range(3))
     for sums, values in (
         (total, np.ones(len(pair.j))),

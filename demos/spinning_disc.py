@@ -41,8 +41,10 @@ CASES = {
     "soft": (materials.neo_hookean, 1.333e6, 20 / 3.6, 1e-3, 0.045),
 }
 ENERGIES = ["kinetic", "strain", "friction_dissipation", "impact_loss"]
-COLUMNS = ["time", "centre_x", "centre_y", "velocity_x", "velocity_y", "spin", *ENERGIES, "energy_defect"]
-COLUMNS += ["contact_force_x", "contact_force_y", "min_det_F", "newton_iterations", "wall_time"]
+BOOKS = ["contact", "energy_defect"]
+COLUMNS = ["time", "centre_x", "centre_y", "velocity_x", "velocity_y", "momentum_x", "momentum_y", "angular_momentum"]
+COLUMNS += ["spin", *ENERGIES, *BOOKS, "penetration", "contact_force_x", "contact_force_y", "min_det_F"]
+COLUMNS += ["newton_iterations", "wall_time"]
 
 
 def options() -> argparse.Namespace:
@@ -85,8 +87,9 @@ def simulate(args: argparse.Namespace, spin: str, directory: Path) -> tuple:
             run.record(
                 step, time, time=time, centre_x=cx, centre_y=cy, velocity_x=px / m, velocity_y=py / m,
                 spin=(ledger.angular_momentum[0] - cx * py + cy * px) / (m * RADIUS**2 / 2),
-                **{name: getattr(ledger, name) for name in ENERGIES}, energy_defect=ledger.energy_defect,
-                contact_force_x=fx, contact_force_y=fy, min_det_F=watch[0].range()[0],
+                **{name: getattr(ledger, name) for name in [*ENERGIES, *BOOKS]}, momentum_x=px, momentum_y=py,
+                angular_momentum=ledger.angular_momentum[0], penetration=step.penetration, contact_force_x=fx,
+                contact_force_y=fy, min_det_F=watch[0].range()[0],
             )  # fmt: skip
             frames += [output.deformed_cells(u)] if args.animate and step.nominal else []
     except StepFailure as failure:

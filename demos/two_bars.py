@@ -28,7 +28,8 @@ from meshes.two_bars import BAR1, BAR2, FACE1, FACE2, TwoBars
 
 COLUMNS = [
     "time", "tip1_u", "tip2_u", "tip1_v", "tip2_v", "contact_force", "kinetic_1", "kinetic_2", "strain_1", "strain_2",
-    "external_work", "friction_dissipation", "impact_loss", "energy_defect", "momentum", "newton_iterations", "wall_time",
+    "contact", "external_work", "friction_dissipation", "impact_loss", "energy_defect", "momentum", "penetration",
+    "newton_iterations", "wall_time",
 ]  # fmt: skip
 E, RHO, SPEED = 100.0, 0.01, 0.1  # Pa, kg/m³, m/s
 
@@ -82,8 +83,9 @@ def simulate(args: argparse.Namespace, directory: Path) -> output.History:
         run.record(
             step, step.time, time=step.time, tip1_u=u1, tip2_u=u2, tip1_v=v1, tip2_v=v2,
             contact_force=-step.forces[0][0], kinetic_1=k1, kinetic_2=k2, strain_1=w1, strain_2=w2,
-            external_work=ledger.external_work, friction_dissipation=ledger.friction_dissipation,
+            contact=ledger.contact, external_work=ledger.external_work, friction_dissipation=ledger.friction_dissipation,
             impact_loss=ledger.impact_loss, energy_defect=ledger.energy_defect, momentum=ledger.momentum[0],
+            penetration=step.penetration,
         )  # fmt: skip
     v1, v2 = (motion.integral(form) for form in mean_velocity)
     run.finish(mean_velocities=[v1, v2])

@@ -58,7 +58,7 @@ class ActiveSet:
         np.add.at(
             area.x.array.reshape(-1, multiplier.components),
             multiplier.dofs,
-            points.sum_by_facet(points.j[:, None, None] * np.abs(blocks.NΛ)),
+            points.sum_by_facet(points.j[:, None, None] * np.abs(multiplier.at(points.facet, points.η))),
         )
         area.x.scatter_reverse(InsertMode.add)
         self._node_area = area.x.petsc_vec.copy()

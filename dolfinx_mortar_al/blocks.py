@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.frames import nodal_normals, rotation
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.kinematics import Kinematics
 from dolfinx_mortar_al.law import OPEN, Coulomb, Frictionless, LawState
@@ -64,19 +65,39 @@ class Blocks:
     def take(self, points: IntegrationPoints) -> None:
         """Integrate at these points from now on."""
         self.points = points
-        #: (n, nodes, components) multiplier shape functions, redundant nodes eliminated
-        self.NΛ: Array = self.multiplier.at(points.facet, points.η)
+        multiplier = self.multiplier
+        N = multiplier.shape.tabulate(points.η)[0]
+        # (n, nodes, own nodes, components): shape functions, with redundant nodes eliminated
+        self._nodal = N[:, :, None, None] * np.moveaxis(multiplier.T, 1, 3)[points.facet]
+        self.turn(None)
+
+    def turn(self, ν: Array | None) -> None:
+        """Let the multiplier's normal part be that along ν (n, gdim), or take its components in global axes (collective)."""
+        #: (n, components, nodes × components) the multiplier at each point from its facet's unknowns
+        self.NΛ: Array = self.interpolation(ν)
+
+    def interpolation(self, ν: Array | None) -> Array:
+        """(n, components, nodes × components) the multiplier from its facet's unknowns, its normal part along ν (n, gdim); in
+        global axes if there is none, or no friction (collective)."""
+        n, _, nodes, m = self._nodal.shape
+        if ν is None or m == 1:
+            return np.einsum("nabk,ik->nibk", self._nodal, np.eye(m)).reshape(n, m, nodes * m)
+        at_nodes = nodal_normals(self.multiplier, self.points, ν)
+        turned = rotation(at_nodes[self.points.facet], ν[:, None])
+        return np.asarray(np.einsum("naik,nabk->nibk", turned, self._nodal).reshape(n, m, nodes * m))
 
     def multiplier_at_points(self) -> Array:
         """(n, components) the multiplier field at the points (Pa)."""
-        return np.asarray((self.NΛ * self.multiplier.own_nodal()[self.points.facet]).sum(axis=1))
+        nodal = self.multiplier.own_nodal()[self.points.facet].reshape(*self.NΛ[:, 0].shape, 1)
+        return np.asarray((self.NΛ @ nodal)[:, :, 0])
 
     # ---------------------------------------------------------------- residual, eq. (4)
 
     def multiplier_residual(self, state: LawState) -> tuple[Index, Array]:
-        """∫ r·N1 Λ* dS₀: global blocks (nf, nodes) and element vectors (nf, nodes, components)."""
-        values = self.NΛ * (self.points.j[:, None] * state.r)[:, None, :]
-        return self.multiplier.blocks, self.points.sum_by_facet(values)
+        """∫ r·δΛ dS₀: global blocks (nf, nodes) and element vectors (nf, nodes, components)."""
+        values = ((self.points.j[:, None] * state.r)[:, None] @ self.NΛ)[:, 0]
+        blocks, components = self.multiplier.blocks, self.multiplier.components
+        return blocks, self.points.sum_by_facet(values).reshape(*blocks.shape, components)
 
     def body_residual(self, state: LawState, kinematics: Kinematics) -> list[tuple[Index, Array]]:
         """The forces of contact on the contactor's and the target's nodes; 0 where prescribed."""
@@ -106,21 +127,20 @@ class Blocks:
 
         n, d, m = len(act), self.gdim, self.multiplier.components
         NΛ, δr = self.NΛ[act], δr * j[:, None, None]
+        nodes = NΛ.shape[2] // m
         z = d * len(slots.names)
 
         R, k, K = rows.shape[1], rows.shape[2], columns.shape[2]
         C_U = apply_columns(C[..., :z].reshape(n, R * d, z), columns, d)  # (n, R·d, nodes, d)
         UU = (np.swapaxes(rows, 1, 2) @ C_U.reshape(n, R, d * K * d)).reshape(n, k, d, K, d)
         C_Λ = C[..., z:].reshape(n, R, d * m)
-        UΛ = (np.swapaxes(rows, 1, 2) @ C_Λ).reshape(n, k, d, 1, m) * NΛ[:, None, None]
+        UΛ = ((np.swapaxes(rows, 1, 2) @ C_Λ).reshape(n, k * d, m) @ NΛ).reshape(n, k, d, nodes, m)
         r_U = apply_columns(δr[..., :z], columns, d)  # (n, m, nodes, d)
-        ΛU = NΛ[:, :, :, None, None] * r_U[:, None]
+        ΛU = (np.swapaxes(NΛ, 1, 2) @ r_U.reshape(n, m, K * d)).reshape(n, nodes, m, K, d)
 
         ΛΛ_point = np.broadcast_to(np.eye(m) / law.ε.normal, (self.points.size, m, m)) * self.points.j[:, None, None]
         ΛΛ_point[act] = δr[..., z:]
-        ΛΛ = self.points.sum_by_facet(
-            self.NΛ[:, :, :, None, None] * ΛΛ_point[:, None, :, None, :] * self.NΛ[:, None, None]
-        )
+        ΛΛ = self.points.sum_by_facet(np.swapaxes(self.NΛ, 1, 2) @ ΛΛ_point @ self.NΛ)
 
         runs, target, extra = self._runs(facet, kinematics, act)
         U_rows = np.concatenate([self.contactor[facet[runs]], self.target.blocks[target]], axis=1)
@@ -132,7 +152,7 @@ class Blocks:
             (U_rows, U_columns, UU),
             (U_rows, Λ_nodes, UΛ),
             (Λ_nodes, U_columns, _add_runs(ΛU, runs)),
-            (self.multiplier.blocks, self.multiplier.blocks, ΛΛ),
+            (self.multiplier.blocks, self.multiplier.blocks, ΛΛ.reshape(len(ΛΛ), nodes, m, nodes, m)),
         )
 
     def _runs(self, facet: Index, kinematics: Kinematics, act: Index) -> tuple[Index, Index, Index | None]:

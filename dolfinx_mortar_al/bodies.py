@@ -21,7 +21,7 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
 from dolfinx_mortar_al.moduli import yielding_share
-from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, matrix_with_pattern
+from dolfinx_mortar_al.petsc_blocks import Layout, matrix_with_pattern
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.validation import check_cells, check_residual, listed
@@ -357,13 +357,14 @@ class Bodies:
             body.assemble_jacobian(A)
             A.assemble(PETSc.Mat.AssemblyType.FLUSH)
 
-    def masses(self, forms: Sequence[Any]) -> tuple[PETSc.Mat, list[fem.Function]]:
+    def masses(self, forms: Sequence[Any], pattern: tuple[Index, Index]) -> tuple[PETSc.Mat, list[fem.Function]]:
         """The matrix of one bilinear form per body, Dirichlet rows and columns zero with a unit diagonal, and the diagonal
-        for each body."""
-        A = empty_matrix(self.layout, self.layout)
+        for each body; `pattern` is that of the bulk's stiffness."""
+        A = matrix_with_pattern(self.layout, pattern)
         for body, form, map_ in zip(self.bodies, forms, self._maps, strict=True):
             A.setLGMap(map_, map_)
             dolfinx_petsc.assemble_matrix(A, form, bcs=body.bcs)
+            A.assemble(PETSc.Mat.AssemblyType.FLUSH)
         A.assemble()
         diagonal, diagonals = A.getDiagonal(), [fem.Function(body.space) for body in self.bodies]
         self.spread(diagonal.array_r, diagonals)

@@ -23,8 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.dynamics import Ledger, Motion
 from dolfinx_mortar_al.fingerprint import differences, fingerprint
+from dolfinx_mortar_al.ledger import Ledger
+from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot
 from dolfinx_mortar_al.ranks import on_root, together
 

@@ -351,8 +351,21 @@ class ContactPair(PairResults):
                 self._follow()
             self.kinematics.evaluate()
         with self.stopwatch("contact"):
-            self.Λ = self.blocks.multiplier_at_points()
+            self._read_multiplier()
             self.apply_law()
+
+    def _read_multiplier(self) -> None:
+        """The multiplier field at the points, in frames that the kinematics hold."""
+        if self.kinematics.normals is not None:
+            self.blocks.turn(self.kinematics.normals)
+        self.Λ = self.blocks.multiplier_at_points()
+
+    def follow(self) -> bool:
+        """At the start of an iteration: let the kinematics choose anew what they hold; whether it changed (collective)."""
+        changed = self.kinematics.follow()
+        if changed:
+            self._read_multiplier()
+        return changed
 
     def _follow(self) -> None:
         """Let the segments follow the bodies: all that is kept at points moves along."""

@@ -20,6 +20,8 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al import validation
+from dolfinx_mortar_al.drift import DriftMonitor
+from dolfinx_mortar_al.ledger import Ledger
 from dolfinx_mortar_al.monitors import Finding, Reporter
 from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.newton import NewtonSolver
@@ -43,35 +45,10 @@ FAR = 2.0  # times the tolerance beyond which a step is repeated
 
 
 @dataclass(frozen=True)
-class Ledger:
-    """Energies (J) and momenta at a time; what is not of the moment has been added up since the start.
-
-    kinetic + strain + contact = initial energy + external_work − friction_dissipation − impact_loss + energy_defect, where
-    `contact` is what the augmentation stores at the edges of contact (:meth:`ContactPair.stored_energy`), a share of
-    1e-4 and less; impact_loss and friction_dissipation never fall.
-    """
-
-    kinetic: float
-    strain: float
-    contact: float = 0.0
-    external_work: float = 0.0
-    friction_dissipation: float = 0.0
-    impact_loss: float = 0.0
-    energy_defect: float = 0.0
-    momentum: tuple[float, ...] = ()
-    angular_momentum: tuple[float, ...] = ()
-
-    @property
-    def total(self) -> float:
-        """Energy of the moment (J)."""
-        return self.kinetic + self.strain + self.contact
-
-
-@dataclass(frozen=True)
 class Step:
     """A converged step: time (s), Δt, Newton iterations (rejected trials included), rejected trials, wall time (s), whether
     the time is one of the asked-for ones, the ledger, the mean contact force on each contactor (N), the largest penetration
-    of a closed point (m), and what the monitors found below their bounds."""
+    of a closed point (m), and what the monitors found, that of a drift among them."""
 
     time: float
     step: float
@@ -186,7 +163,9 @@ class _Stepper:
         self.levels = [pair.use_steps() for pair in problem.pairs]
         self._projection = VelocityProjection(problem, motions)
         problem.evaluate()
-        self.ledger = self._with_state(Ledger(0.0, 0.0)) if ledger is None else ledger
+        now = self._with_state(Ledger(0.0, 0.0) if ledger is None else ledger)
+        self.ledger = now if ledger is None else ledger
+        self._drift = DriftMonitor(problem, motions, now)
         self._rate: Array | None = None
         self._next_rate: Array | None = None
         self._reporter = Reporter(problem.comm.rank)
@@ -236,10 +215,7 @@ class _Stepper:
         self._work = self._contact_work()
         reasons = [str(f) for f in self._findings if f.fatal]
         allowed = GAIN * max(self.ledger.total + self.ledger.impact_loss + self.ledger.friction_dissipation, 0.0)
-        done, so_far = self._work, self.ledger.impact_loss + self.ledger.friction_dissipation
-        # beyond what the augmentation gives back, or more than was lost before
-        released = max(done.lost + done.normal, 0.0)
-        gain = max(done.normal + done.tangential - released, done.tangential - done.lost - so_far)
+        gain = max(-self._work.lost, self._work.tangential)
         if gain > allowed:
             reasons.append(f"contact would give {gain:.3g} J to the bodies in this step; take a smaller one")
         for pair, level in zip(self.problem.pairs, self.levels, strict=True):
@@ -298,7 +274,7 @@ class _Stepper:
         for motion in self.motions:
             motion.accept()
         self._rate = self._next_rate
-        settled = self._projection.apply(Δt)
+        settled = self._projection.apply(Δt, -done.tangential)
         forces = tuple(pair.force() + i / Δt for pair, i in zip(problem.pairs, settled.impulses, strict=True))
         problem.commit()
         now = self._with_state(last)
@@ -311,8 +287,10 @@ class _Stepper:
             impact_loss=last.impact_loss + loss,
             energy_defect=last.energy_defect + now.total - last.total - work + friction + loss,
         )
-        seconds, found = perf_counter() - self._clock, tuple(self._findings)
-        deepest = max([pair.penetration() for pair in problem.pairs], default=0.0)
+        seconds = perf_counter() - self._clock
+        depths = [pair.penetration() for pair in problem.pairs]
+        found = (*self._findings, *self._drift.look(self.ledger, depths))
+        deepest = max(depths, default=0.0)
         step = Step(time, Δt, self.iterations, self.rejected, seconds, nominal, self.ledger, forces, deepest, found)
         self._reporter.report(found, f"time {time:.6g} s")
         self.rejected, self.iterations, self._clock = 0, 0, perf_counter()

@@ -99,6 +99,12 @@ class Kinematics(ABC):
         """At the start of an iteration: choose anew what is held in between; whether anything changed."""
         return False
 
+    @property
+    def normals(self) -> Array | None:
+        """(n, gdim) the multiplier's normal direction at the points, where it is held while an iteration goes on; None where
+        it turns with the unknowns."""
+        return None
+
     # ---------------------------------------------------------------- forces, and their derivative
 
     @abstractmethod

@@ -113,6 +113,12 @@ class Motion:
         return self.integral(self._energies[0])
 
     @cached_property
+    def mass(self) -> float:
+        """Mass (kg), collective."""
+        one = fem.Constant(self.u.function_space.mesh, 1.0)
+        return self.integral(fem.form(self.thickness * self.density * one * self.dx))
+
+    @cached_property
     def mass_form(self) -> fem.Form:
         """The mass (kg) as a compiled bilinear form."""
         V = self.u.function_space

@@ -102,6 +102,14 @@ class MultiplierSpace:
         """(n, nodes, components) shape functions at η (n, dim) of facets (n,), redundant nodes eliminated."""
         return np.einsum("na,niab->nbi", self.shape.tabulate(η)[0], self.T[facet])
 
+    def sum_over_facets(self, values: Array) -> Array:
+        """(nf, nodes, components) sums of element vectors over all facets that share a node, on all ranks (collective)."""
+        total = fem.Function(self.field.function_space)
+        np.add.at(total.x.array.reshape(-1, self.components), self.dofs, values)
+        total.x.scatter_reverse(InsertMode.add)
+        total.x.scatter_forward()
+        return np.asarray(total.x.array.reshape(-1, self.components)[self.dofs])
+
     @property
     def size(self) -> int:
         """Unknowns on all ranks."""

@@ -277,7 +277,7 @@ class ContactProblem:
 
     def follow(self, f: PETSc.Vec) -> None:
         """At the start of a Newton iteration let the pairs choose anew what they hold in between (collective)."""
-        if any([pair.kinematics.follow() for pair in self.pairs]):
+        if any([pair.follow() for pair in self.pairs]):
             self.reconsider(f)
 
     def reconsider(self, f: PETSc.Vec) -> None:
@@ -285,6 +285,10 @@ class ContactProblem:
         for pair in self.pairs:
             pair.apply_law()
         self.add_contact(f)
+
+    def masses(self, forms: Sequence[Any]) -> tuple[PETSc.Mat, list[fem.Function]]:
+        """The bodies' mass matrix from one bilinear form per body, and its diagonal on each."""
+        return self.bodies.masses(forms, self._bulk_pattern)
 
     def bulk_jacobian(self) -> PETSc.Mat:
         """The displacements' block of the Jacobian last assembled, without contact's share, at the same state."""

@@ -55,6 +55,7 @@ class Rates:
         H: (n, m, z) what impulses are conjugate to: where points slip along the step's traction, so that the sum of both
             stays on Coulomb's cone.
         free: (n, m, m) projector onto the components without a condition.
+        normals: (all points, gdim) that the components' normal part is along; None without friction.
         carried: (n, m) Δt × the part of G that a rigid obstacle's velocity makes; swept: (n, gdim) its motion (m).
     """
 
@@ -64,6 +65,7 @@ class Rates:
     H: Array
     B: Array
     free: Array
+    normals: Array | None
     carried: Array
     swept: Array
 
@@ -160,7 +162,8 @@ class StepLevel(Kinematics):
         pair = self.pair
         m = scaled_normal(pair)
         cos = 1.0 / np.linalg.norm(m, axis=1)
-        self._m, ν = m, m * cos[:, None]
+        ν = np.where(pair.facing[:, None], m * cos[:, None], pair.ν)
+        self._m = m
         r0 = self._x0 - self.target.positions(pair.point, pair.N, self._place0)
         r1 = now.x - self.target.positions(pair.point, pair.N)
         self._w = r1 - r0
@@ -181,6 +184,10 @@ class StepLevel(Kinematics):
     @property
     def faced(self) -> Projection:
         return self.end
+
+    @property
+    def normals(self) -> Array | None:
+        return self.at.ν if self.friction else None
 
     def passed_through(self, state: LawState) -> Bool:
         """(n,) open points that the step has carried into the target or through it."""
@@ -268,9 +275,10 @@ class StepLevel(Kinematics):
 
     # ---------------------------------------------------------------- velocities at the end of the step
 
-    def rates(self, state: LawState, hold: Bool) -> Rates:
+    def rates(self, state: LawState, hold: Bool, drag: bool) -> Rates:
         """Relative velocities at the end of the step that persistent contact does not allow: normal ones at closed points,
-        tangential ones too where they stick and `hold` (n,) says so."""
+        tangential ones too where they stick and `hold` (n,) says so. Impulses where points slip have a tangential part if
+        there is `drag`."""
         act = np.flatnonzero((state.status != OPEN) & (state.p > 0))
         end, d = self.end.take(act), self.target.dim + 1
         own = () if self.target.is_rigid else tuple(f"x,{α}" for α in range(self.target.dim))
@@ -287,7 +295,7 @@ class StepLevel(Kinematics):
         part = -vary_gap(end, slots, "w")
         if not self.friction:
             one, none = part[:, None], np.zeros((len(act), 1, 1))
-            return Rates(act, end.point.facet, one, one, B, none, dot(end.ν, swept)[:, None], swept)
+            return Rates(act, end.point.facet, one, one, B, none, None, dot(end.ν, swept)[:, None], swept)
         slide = np.broadcast_to(slots.slot("x") - slots.slot("w"), (len(act), d, slots.size))
         if own:
             now = self.contactor()
@@ -297,6 +305,8 @@ class StepLevel(Kinematics):
         held = (hold & (state.status == STICK))[act, None, None]
         P = (np.eye(d) - νν) * held
         f = (state.p[:, None] * self.at.ν - state.t)[act] / state.p[act, None]
-        along = part - np.einsum("ni,niz->nz", f * ~held[:, 0], slide)
+        along = part - np.einsum("ni,niz->nz", f * (drag & ~held[:, 0]), slide)
         G, H = (P @ slide + end.ν[:, :, None] * normal[:, None] for normal in (part, along))
-        return Rates(act, end.point.facet, G, H, B, np.eye(d) - P - νν, ((P + νν) @ swept[:, :, None])[:, :, 0], swept)
+        normals, moved = self.at.ν.copy(), ((P + νν) @ swept[:, :, None])[:, :, 0]
+        normals[act] = end.ν
+        return Rates(act, end.point.facet, G, H, B, np.eye(d) - P - νν, normals, moved, swept)

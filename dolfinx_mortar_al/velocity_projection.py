@@ -71,7 +71,7 @@ class VelocityProjection:
 
     def __init__(self, problem: ContactProblem, motions: Sequence[Motion]) -> None:
         self._problem, self._motions = problem, motions
-        self._mass, diagonals = problem.bodies.masses([motion.mass_form for motion in motions])
+        self._mass, diagonals = problem.masses([motion.mass_form for motion in motions])
         #: (kg/m²) of each pair's surface
         self._density = [pair.surface_stiffness(diagonals) for pair in problem.pairs]
         self._layouts = [problem.bodies.layout]
@@ -80,31 +80,44 @@ class VelocityProjection:
         self._nest: Any = None
         self._solver: Any = None
 
-    def apply(self, Δt: float) -> Settled:
-        """Change the motions' velocities at the end of a step of length Δt (collective)."""
+    def apply(self, Δt: float, dissipated: float) -> Settled:
+        """Change the motions' velocities at the end of a step of length Δt in which friction `dissipated` energy (J)
+        (collective). Impulses act along the step's traction unless the step's friction would give energy with them: where
+        slip has turned back within the step they act along the normal."""
         problem = self._problem
         closed = [problem.comm.allreduce(bool(pair.active.closed.any()), MPI.LOR) for pair in problem.pairs]
         if not any(closed):
             return Settled(0.0, 0.0, 0.0, [np.zeros(problem.gdim) for _ in problem.pairs])
         hold: list[Bool] = [np.ones(pair.integration.size, dtype=bool) for pair in problem.pairs]
         for round_ in range(PASSES + 1):
-            parts = [_Part(pair, k, still) for pair, k, still in zip(problem.pairs, self._density, hold, strict=True)]
-            δv, impulses, lost = self._solve(parts, Δt)
+            parts = self._parts(hold, drag=True)
+            δv, impulses, lost, gain = self._solve(parts, Δt)
             loose = [part.leaves_cone(i, Δt) for part, i in zip(parts, impulses, strict=True)]
             if round_ == PASSES or not problem.comm.allreduce(any(bool(some.any()) for some in loose), MPI.LOR):
                 break
             last = round_ == PASSES - 1
             hold = [still & ~(some | last) for still, some in zip(hold, loose, strict=True)]
+        found, work = self._impulses(parts, impulses, Δt)
+        if work - gain - lost + dissipated < 0.0 and any(pair.friction for pair in problem.pairs):
+            parts = self._parts(hold, drag=False)
+            δv, impulses, lost, gain = self._solve(parts, Δt)
+            found, work = self._impulses(parts, impulses, Δt)
         fields = [motion.velocity for motion in self._motions]
-        before = sum(motion.kinetic_energy() for motion in self._motions)
         problem.bodies.spread(problem.bodies.owned(fields) + δv, fields)
-        gain = sum(motion.kinetic_energy() for motion in self._motions) - before
-        found = [part.impulse(i, Δt) for part, i in zip(parts, impulses, strict=True)]
-        work = sum(done for _, done in found)
-        return Settled(lost, work - gain - lost, work, [impulse for impulse, _ in found])
+        return Settled(lost, work - gain - lost, work, found)
 
-    def _solve(self, parts: list[_Part], Δt: float) -> tuple[Array, list[Array], float]:
-        """δ𝐯 (owned dofs,), each pair's impulses at its points (n, components) (N s/m²), and the energy lost (J)."""
+    def _parts(self, hold: list[Bool], drag: bool) -> list[_Part]:
+        pairs = zip(self._problem.pairs, self._density, hold, strict=True)
+        return [_Part(pair, density, still, drag) for pair, density, still in pairs]
+
+    def _impulses(self, parts: list[_Part], impulses: list[Array], Δt: float) -> tuple[list[Array], float]:
+        """Impulse on each contactor (gdim,) (N s), and the work of obstacles (J); collective."""
+        found = [part.impulse(i, Δt) for part, i in zip(parts, impulses, strict=True)]
+        return [impulse for impulse, _ in found], sum(done for _, done in found)
+
+    def _solve(self, parts: list[_Part], Δt: float) -> tuple[Array, list[Array], float, float]:
+        """δ𝐯 (owned dofs,), each pair's impulses at its points (n, components) (N s/m²), the energy that impulses take as
+        conjugate to 𝐆𝐯, and the kinetic energy gained (J)."""
         if not self._fits(parts):
             self._make_system(parts)
         problem = self._problem
@@ -136,7 +149,9 @@ class VelocityProjection:
         for (_, _, D), I, r in zip(self._blocks, multipliers, vectors[1:], strict=True):
             D.mult(I, held := r.duplicate())
             lost += (I.dot(r) + I.dot(held)) / 2
-        return δv.array_r.copy(), [part.at_points(v) for part, v in zip(parts, multipliers, strict=True)], lost
+        now.axpy(0.5, δv)
+        gain = now.dot(self._mass * δv)
+        return δv.array_r.copy(), [part.at_points(v) for part, v in zip(parts, multipliers, strict=True)], lost, gain
 
     def _fits(self, parts: list[_Part]) -> bool:
         """Whether the matrices have the pattern of these parts on all ranks: they and their factorisation are kept then."""
@@ -174,11 +189,12 @@ class _Part:
         G, H, D: element matrices with global blocks, H not transposed.
     """
 
-    def __init__(self, pair: ContactPair, density: float, hold: Bool) -> None:
+    def __init__(self, pair: ContactPair, density: float, hold: Bool, drag: bool) -> None:
         level, blocks, points = pair.kinematics, pair.blocks, pair.integration
         assert isinstance(level, StepLevel)
-        m, N = pair.multiplier.components, blocks.NΛ
-        self._rates = rates = level.rates(pair.state, hold)
+        m = pair.multiplier.components
+        self._rates = rates = level.rates(pair.state, hold, drag)
+        N = blocks.interpolation(rates.normals)
         self._pair, self._N, self._j = pair, N[rates.act], pair.j[rates.act]
         self._facet, target = points.facet[rates.act], pair.target.facets[rates.facet]
         self._rows: Index = pair.multiplier.blocks[self._facet]
@@ -189,26 +205,29 @@ class _Part:
         self.G, self.H = ((self._rows, nodes, self._of_nodes(rate, fixed)) for rate in (rates.G, rates.H))
         weight = np.broadcast_to(np.eye(m), (points.size, m, m)).copy()
         weight[rates.act] = rates.free
-        weight *= pair.j[:, None, None]
-        D: Array = np.asarray(N[:, :, :, None, None] * weight[:, None, :, None, :] * N[:, None, None], dtype=np.float64)
-        self.D = pair.multiplier.blocks, pair.multiplier.blocks, points.sum_by_facet(D) / density
+        weight *= pair.j[:, None, None] / density
+        on, D = pair.multiplier.blocks, points.sum_by_facet(np.swapaxes(N, 1, 2) @ weight @ N)
+        self.D = on, on, D.reshape(*on.shape, m, on.shape[1], m)
 
     def _of_nodes(self, rate: Array, fixed: Bool) -> Array:
         """(n, multiplier nodes, m, nodes, gdim) of a rate (n, m, z) in the slots."""
         nodal = apply_columns(rate * self._j[:, None, None], self._rates.B, fixed.shape[2])  # (n, m, nodes, gdim)
-        return np.asarray(self._N[:, :, :, None, None] * np.where(fixed[:, None], 0.0, nodal)[:, None])
+        nodal[np.broadcast_to(fixed[:, None], nodal.shape)] = 0.0
+        n, m, k, d = nodal.shape
+        return (np.swapaxes(self._N, 1, 2) @ nodal.reshape(n, m, k * d)).reshape(n, self._rows.shape[1], m, k, d)
 
     def carried(self, Δt: float) -> tuple[Index, Array]:
         """∫ N × (an obstacle's share of the relative velocity) as global blocks and element vectors."""
-        return self._rows, self._N * (self._j[:, None] * self._rates.carried / Δt)[:, None]
+        values = ((self._j[:, None] * self._rates.carried / Δt)[:, None] @ self._N)[:, 0]
+        return self._rows, values.reshape(*self._rows.shape, self._pair.multiplier.components)
 
     def at_points(self, multiplier: PETSc.Vec) -> Array:
         """(n, components) impulses per area at the closed points (N s/m²); ghosts are fetched (collective)."""
         field = self._pair.multiplier.field.copy()
         field.x.array[: multiplier.getLocalSize()] = multiplier.array_r
         field.x.scatter_forward()
-        nodal = field.x.array.reshape(-1, self._pair.multiplier.components)[self._pair.multiplier.dofs]
-        return np.asarray((self._N * nodal[self._facet]).sum(axis=1))
+        nodal = field.x.array.reshape(-1, self._pair.multiplier.components)[self._pair.multiplier.dofs[self._facet]]
+        return np.asarray((self._N @ nodal.reshape(*self._N[:, 0].shape, 1))[:, :, 0])
 
     def _on_contactor(self, impulses: Array) -> Array:
         """(n, gdim) impulses per area as vectors."""

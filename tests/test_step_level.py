@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 from dolfinx import fem
+from mpi4py import MPI
 from scenes import NU, E, assert_tangent, contact_of, rough, set_field
 
 from dolfinx_mortar_al import ContactProblem
+from dolfinx_mortar_al.frames import nodal_normals, rotation
 from dolfinx_mortar_al.law import OPEN, SLIP, STICK
 from dolfinx_mortar_al.lever import Lever
 from dolfinx_mortar_al.materials import saint_venant_kirchhoff
@@ -52,7 +54,7 @@ def closed_by_law(problem, u, Λ):
     problem.pack(problem.x)
     problem.assemble_residual(problem.x, problem.residual)
     pair = problem.pairs[0]
-    assert pair.kinematics.follow()
+    assert pair.follow()
     pair.apply_law()
     pair.active.closed = pair.kinematics.may_close & (pair.state.λN_hat > 0)
     problem.assemble_residual(problem.x, problem.residual)
@@ -132,3 +134,43 @@ def test_lever_is_what_a_rigid_motion_does():
         )
         lever = Lever.of(middle, normal, (r + r1) / 2)
         assert np.allclose(lever.carry(a1 - a), r1 - r, atol=1e-13)
+
+
+def test_rotations_take_one_normal_to_the_other():
+    """In the plane and in space: proper rotations, nothing for equal normals, finite for opposite ones."""
+    rng = np.random.default_rng(1)
+    for d in (2, 3):
+        a, b = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, 50, d)))
+        R = rotation(a, b)
+        assert np.abs(np.einsum("nik,nk->ni", R, a) - b).max() < 1e-13
+        assert np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(d)).max() < 1e-13
+        assert np.abs(np.linalg.det(R) - 1).max() < 1e-13
+        assert np.abs(rotation(a, a) - np.eye(d)).max() < 1e-15
+        assert np.abs(np.einsum("nik,nk->ni", rotation(a, -a), a) + a).max() < 1e-15
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_normal_and_tangential_parts_do_not_mix(dim):
+    """Where normals turn, nodal vectors λ_a ν_a give the scalar field Σ N_a λ_a along ν, tangential ones no normal part."""
+    problem, end, Λ = in_step(dim, 1, 0.8, "rays")
+    pair = closed_by_law(problem, end, Λ)
+    points, multiplier, ν = pair.integration, pair.multiplier, pair.at.ν
+    at_nodes = nodal_normals(multiplier, points, ν)
+    spread = np.abs(at_nodes[points.facet] - ν[:, None]).max(initial=0.0)
+    assert problem.comm.allreduce(spread, MPI.MAX) > 1e-3
+    N, m = multiplier.shape.tabulate(points.η)[0], multiplier.components
+    unknowns = multiplier.own_nodal()
+    λ = np.einsum("fai,fai->fa", unknowns, at_nodes)
+    free = ~multiplier.redundant.any(axis=(1, 2))[points.facet]
+
+    def miss(nodal, normal):
+        values = np.einsum("nik,nk->ni", pair.blocks.NΛ, nodal[points.facet].reshape(points.size, N.shape[1] * m))
+        wrong = np.einsum("ni,ni->n", values, ν) - normal
+        return problem.comm.allreduce(float(np.abs(wrong[free]).max(initial=0.0)), MPI.MAX)
+
+    scalar, scale = (
+        np.einsum("na,na->n", N, λ[points.facet]),
+        problem.comm.allreduce(np.abs(λ).max(initial=0.0), MPI.MAX),
+    )
+    assert miss(unknowns, scalar) < 1e-13 * scale
+    assert miss(unknowns - λ[:, :, None] * at_nodes, 0.0) < 1e-13 * scale

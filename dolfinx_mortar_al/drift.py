@@ -1,0 +1,83 @@
+"""A monitor of bodies in motion: does the ledger keep what no force has changed, and do surfaces stay apart?
+
+Looked at after each step of :func:`~dolfinx_mortar_al.dynamics.march`. A finding warns; it does not stop the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.ledger import Ledger
+from dolfinx_mortar_al.monitors import Finding
+from dolfinx_mortar_al.motion import Motion
+from dolfinx_mortar_al.problem import ContactProblem
+
+__all__ = ["DriftMonitor"]
+
+Array = NDArray[np.float64]
+
+SHARE = 1e-6  # of a run's energy or momenta: what Newton's tolerance, 1e-11, leaves in 1e5 steps, all to one side
+# of a facet: one that turns by an angle θ rises by θ/8 of its length over its chord; two that meet, each turning by 1 rad
+DEPTH = 0.25
+
+UNBOOKED = "the ledger has no source of it: does a load act that the Motion does not know (external=)?"
+PUSHED = "no external force is known to act on these bodies: does a load act that the Motion does not know (external=)?"
+DEEP = "a closed point lies deep behind the target's surface: take shorter steps or finer facets"
+
+
+class DriftMonitor:
+    """Energy beyond that of the start and the work done, momenta of free bodies, penetration.
+
+    Energy is not looked at while prescribed displacements move, whose work the ledger does not have; momenta where nothing
+    is prescribed and there are neither external loads nor rigid obstacles, components one by one.
+
+    Args:
+        problem: of the march.
+        motions: one per body.
+        start: the ledger at the start of the march.
+    """
+
+    def __init__(self, problem: ContactProblem, motions: Sequence[Motion], start: Ledger) -> None:
+        self._problem, self._motions, self._start = problem, motions, start
+        comm, d = problem.comm, problem.gdim
+        self._prescribed = [body.prescribed().x.array > 0 for body in problem.bodies.bodies]
+        held = np.any([some.reshape(-1, d).any(axis=0) for some in self._prescribed], axis=0)
+        held = np.asarray(comm.allreduce(held.astype(int)) > 0)
+        self._any_prescribed = bool(held.any())
+        loaded = any(m.external is not None for m in motions) or any(p.target.is_rigid for p in problem.pairs)
+        self._free = ~held & (not loaded)
+        reach = [np.abs(body.mesh.geometry.x).max(initial=0.0) for body in problem.bodies.bodies]
+        self._reach = comm.allreduce(float(max(reach)), MPI.MAX)
+        self._mass = sum(motion.mass for motion in motions)
+
+    def look(self, ledger: Ledger, depths: Sequence[float]) -> list[Finding]:
+        """What has drifted; `depths` is the penetration of each pair (m) (collective)."""
+        start = self._start
+        energy = start.total + abs(ledger.external_work - start.external_work)
+        found = []
+        gain = ledger.energy_defect - start.energy_defect
+        if gain > SHARE * energy and not self._is_driven():
+            found.append(("energy gained (J)", gain, UNBOOKED))
+        scale = np.sqrt(2 * self._mass * energy)  # the momentum of all if all of the energy were kinetic
+        moved = np.abs(np.subtract(ledger.momentum, start.momentum))[self._free].max(initial=0.0)
+        if moved > SHARE * scale:
+            found.append(("momentum gained (N s)", moved, PUSHED))
+        turned = float(np.abs(np.subtract(ledger.angular_momentum, start.angular_momentum)).max(initial=0.0))
+        if self._free.all() and turned > SHARE * scale * self._reach:
+            found.append(("angular momentum gained (N m s)", turned, PUSHED))
+        for pair, depth in zip(self._problem.pairs, depths, strict=True):
+            share = depth / pair.target.size
+            if share > DEPTH:
+                found.append((f"{pair.name}: penetration (target facets)", share, DEEP))
+        return [Finding(name, float(value), (), meaning, False) for name, value, meaning in found]
+
+    def _is_driven(self) -> bool:
+        """Whether a prescribed displacement moves (collective)."""
+        if not self._any_prescribed:
+            return False
+        speeds = [m.velocity.x.array[some] for m, some in zip(self._motions, self._prescribed, strict=True)]
+        return bool(self._problem.comm.allreduce(any(bool(v.any()) for v in speeds), MPI.LOR))

@@ -1,0 +1,32 @@
+"""The books of bodies in motion: energies and momenta."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Ledger"]
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """Energies (J) and momenta at a time; what is not of the moment has been added up since the start.
+
+    kinetic + strain + contact = initial energy + external_work − friction_dissipation − impact_loss + energy_defect, where
+    `contact` is what the augmentation stores at the edges of contact (:meth:`ContactPair.stored_energy`), a share of
+    1e-4 and less; impact_loss and friction_dissipation never fall.
+    """
+
+    kinetic: float
+    strain: float
+    contact: float = 0.0
+    external_work: float = 0.0
+    friction_dissipation: float = 0.0
+    impact_loss: float = 0.0
+    energy_defect: float = 0.0
+    momentum: tuple[float, ...] = ()
+    angular_momentum: tuple[float, ...] = ()
+
+    @property
+    def total(self) -> float:
+        """Energy of the moment (J)."""
+        return self.kinetic + self.strain + self.contact

@@ -1,0 +1,93 @@
+"""The monitor of a drift: what it finds where the books do not close, and nothing where they do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, monitors, obstacles
+from dolfinx_mortar_al.drift import DEPTH, SHARE, DriftMonitor
+
+SIDE, DENSITY, STEP = 0.1, 1000.0, 1e-3
+
+
+def block(*, load=0.0, booked=False, obstacle=False, clamp=None):
+    """A square that turns and flies, with a load (N/m³) upwards that the Motion knows of if `booked`; with `clamp` its left
+    side is prescribed: (problem, motion)."""
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [[0, 0.01], [SIDE, SIDE + 0.01]], [3, 3])
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    work = load * ufl.TestFunction(u.function_space)[1] * materials.cell_measure(u)
+    external = work if booked else None
+    motion = dynamics.Motion(u, materials.neo_hookean(1e6, 0.3), density=DENSITY, step=STEP, external=external)
+    motion.velocity.interpolate(lambda x: np.array([1.0 - 5 * x[1], 5 * x[0]]))
+    residual = motion.residual - work if load and not booked else motion.residual
+    bcs, contacts = [], []
+    if clamp is not None:
+        left = mesh.locate_entities_boundary(domain, 1, lambda x: x[0] < 1e-9)
+        dofs = fem.locate_dofs_topological(u.function_space, 1, left)
+        bcs = [fem.dirichletbc(clamp, dofs, u.function_space)]
+    if obstacle:
+        low = mesh.locate_entities_boundary(domain, 1, lambda x: x[1] < 0.01 + 1e-9)
+        tags = mesh.meshtags(domain, 1, low, np.full(len(low), 1, dtype=np.int32))
+        contacts = [Contact(Surface(domain, tags, 1), obstacles.RigidPlane([0, 0], [0, 1]))]
+    return ContactProblem(residual, u, bcs=bcs, contacts=contacts), motion
+
+
+def found(problem, motion, steps=10, move=None):
+    """Names of all that is found in a march, without units."""
+    march = dynamics.march(problem, motion, to=steps * STEP, move=move)
+    return {finding.name.split(" gained")[0] for step in march for finding in step.findings}
+
+
+def test_a_load_that_the_motion_does_not_know():
+    """It gives energy and momentum that no book has: both are found, with a warning on rank 0; the run goes on."""
+    problem, motion = block(load=3e3)
+    if problem.comm.rank == 0:
+        with pytest.warns(monitors.ModelWarning, match="energy gained .*external="):
+            names = found(problem, motion)
+    else:
+        names = found(problem, motion)
+    assert {"energy", "momentum"} <= names
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"load": 3e3, "booked": True}, {"obstacle": True, "load": -3e4, "booked": True}]
+)
+def test_nothing_where_books_close(options):
+    """Free flight, a load that is known, a fall onto a plane."""
+    assert found(*block(**options)) == set()
+
+
+def test_a_driven_side_gives_energy():
+    """The work of a prescribed displacement that moves is in no book; that is no drift."""
+    clamp = fem.Constant(mesh.create_unit_square(MPI.COMM_SELF, 1, 1), np.zeros(2))
+    problem, motion = block(clamp=clamp)
+    assert found(problem, motion, move=lambda t: clamp.value.__setitem__(1, 2 * t)) == set()
+
+
+def test_bounds():
+    """Each quantity is found beyond its bound and not below; momenta not where an obstacle may change them."""
+    for obstacle in (False, True):
+        problem, motion = block(obstacle=obstacle)
+        start = dynamics.Ledger(2.0, 1.0, momentum=(1.0, 0.0), angular_momentum=(0.1,))
+        watch = DriftMonitor(problem, [motion], start)
+        momentum = np.sqrt(2 * 3.0 * motion.mass)
+        reach = SIDE + 0.01
+        size = problem.pairs[0].target.size if obstacle else 0.0
+        seen = {"energy", "penetration"} if obstacle else {"energy", "momentum", "angular momentum"}
+        for factor in (0.9, 1.1):
+            s = factor * SHARE
+            drifts = {
+                "energy": {"energy_defect": 3.0 * s},
+                "momentum": {"momentum": (1.0, s * momentum)},
+                "angular momentum": {"angular_momentum": (0.1 - s * momentum * reach,)},
+                "penetration": {},
+            }
+            for name, drift in drifts.items():
+                depth = factor * DEPTH * size * (not drift)
+                names = [f.name for f in watch.look(replace(start, **drift), [depth] * obstacle)]
+                assert len(names) == (factor > 1 and name in seen), (name, factor)
+                assert all(name in text for text in names)
