@@ -38,3 +38,14 @@ def test_iterations_do_not_grow_with_the_mesh(cells):
     steps = [step for _, step in ironing.iron(scene, *ironing.build(scene, {}))]
     assert max(step.iterations for step in steps) <= 4
     assert sum(step.rejected for step in steps) == 0
+
+
+def test_a_first_step_over_many_facets_goes_through():
+    """The punch moves on by 13 facets, half of the zone's width, with nothing to predict it from: the guard shortens Newton's
+    steps, and contact settles on the share that is left (seen: 11 iterations; without that 23 and a rejected trial)."""
+    scene = ironing.Scene(cells=24, friction=0.0, steps=(2, 5))
+    for doing, step in ironing.iron(scene, *ironing.build(scene, {})):
+        assert step.rejected == 0
+        if doing == "dragging":
+            assert step.iterations <= 15
+            break
