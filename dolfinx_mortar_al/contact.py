@@ -39,6 +39,7 @@ __all__ = ["Contact", "ContactPair"]
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
+Decisions = tuple[IntegrationPoints, tuple[Bool, Index, bool]]
 
 SOFTER = 0.1  # ε over the bulk's stiffness at the surface (docs/newton.md)
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
@@ -378,6 +379,15 @@ class ContactPair(PairResults):
         """Let the active set change, once per Newton iteration; whether any point did, on any rank."""
         changed = self.active.decide(self.state, self.kinematics, residual, self.unit, self.ε.normal)
         return bool(self.comm.allreduce(changed, MPI.LOR))
+
+    def decisions(self) -> Decisions:
+        """What :meth:`decide` may change, and at which points."""
+        return self.integration, self.active.snapshot()
+
+    def undo_decisions(self, saved: Decisions) -> None:
+        """Take decisions back; segments may have moved since."""
+        points, decisions = saved
+        self.active.restore(decisions, points.nearest(self.integration.facet, self.integration.η))
 
     def violation(self) -> float:
         """Largest |λ̂_N| (Pa) at a point that is closed or open against eq. (1), as a share of the largest pressure

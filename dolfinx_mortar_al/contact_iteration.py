@@ -81,7 +81,7 @@ class ContactIteration:
         p, z, enough = self.problem, self._z, max(1.0, ENOUGH * share * start)
         residual.copy(self._goal)
         self._goal.scale(1.0 - share)
-        self._sets, before = [pair.active.snapshot() for pair in p.pairs], p.contact_pattern()
+        self._decisions, before = [pair.decisions() for pair in p.pairs], p.contact_pattern()
         p.bulk_forces.copy(self._forces)
         z.waxpy(-1.0, y, x)
         self._evaluate()
@@ -109,8 +109,8 @@ class ContactIteration:
 
     def undo(self) -> None:
         """Take back the decisions of :meth:`improve`."""
-        for pair, saved in zip(self.problem.pairs, self._sets, strict=True):
-            pair.active.restore(saved)
+        for pair, saved in zip(self.problem.pairs, self._decisions, strict=True):
+            pair.undo_decisions(saved)
 
     def _evaluate(self) -> None:
         """Bring the pairs and their active sets up to date with z."""
