@@ -129,9 +129,10 @@ class ActiveSet:
         """What :meth:`decide` may change."""
         return self.closed.copy(), self._losses.copy(), self._weak_may_open
 
-    def restore(self, saved: tuple[Bool, Index, bool]) -> None:
-        """Take decisions back."""
-        self.closed, self._losses, self._weak_may_open = saved
+    def restore(self, saved: tuple[Bool, Index, bool], origin: Index) -> None:
+        """Take decisions back; they were taken at points of which `origin` (n,) are the present ones."""
+        closed, losses, self._weak_may_open = saved
+        self.closed, self._losses = closed[origin], losses[origin]
 
     # ---------------------------------------------------------------- friction bounds
 

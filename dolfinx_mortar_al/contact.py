@@ -20,7 +20,7 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.active_set import ActiveSet
 from dolfinx_mortar_al.blocks import Blocks, Tangent
 from dolfinx_mortar_al.bodies import Bodies
-from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, segment_degree
+from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, degrees_on, segment_degree
 from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
 from dolfinx_mortar_al.law import OPEN, Augmentation, Coulomb, Frictionless, augmented_normal
 from dolfinx_mortar_al.multiplier import MultiplierSpace
@@ -39,6 +39,7 @@ __all__ = ["Contact", "ContactPair"]
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
+Decisions = tuple[IntegrationPoints, tuple[Bool, Index, bool]]
 
 SOFTER = 0.1  # ε over the bulk's stiffness at the surface (docs/newton.md)
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
@@ -143,7 +144,7 @@ class ContactPair(PairResults):
         contactor = self.facets.gather()
         self.target = target_of(contact.target, bodies, contactor.size_of_facets, contact.projection == "rays")
         #: Gauss points: all there is without segments, and with them where λ̂_N is kept from step to step
-        self.gauss = self._points(float(contactor.areas().max() ** (1.0 / self.target.dim)))
+        self.gauss = self._points()
         self.integration = self.gauss
         self.area = float(self.comm.allreduce(float(self.j.sum())))
         self._check_apart(contactor)
@@ -168,8 +169,8 @@ class ContactPair(PairResults):
         """(nf, nodes, gdim) values of the contactor's body at its facets' nodes; ghosts are up to date."""
         return np.asarray(u.x.array.reshape(-1, self.gdim)[self.facets.dofs])
 
-    def _points(self, extent: float) -> IntegrationPoints:
-        """The integration points; `extent` (m) of the contactor's largest facet."""
+    def _points(self) -> IntegrationPoints:
+        """The Gauss points."""
         contact, order = self.contact, self.facets.shape.order
         if contact.multiplier_order not in (1, order):
             raise ValueError(
@@ -182,10 +183,23 @@ class ContactPair(PairResults):
                 f"{self.name}: quadrature_degree = {degree} has too few points to determine multipliers of order "
                 f"{contact.multiplier_order}; take at least {2 * contact.multiplier_order}"
             )
-        if degree is None or self._wants_segments:
-            ratio = extent / float(np.mean(self.target.extents))
-            degree = default_degree(self.facets, contact.contactor.is_membrane, ratio)
-        return IntegrationPoints.gauss(self.facets, degree, contact.thickness)
+        count = self.facets.size
+        if degree is not None and not self._wants_segments:
+            return IntegrationPoints.gauss(self.facets, np.full(count, degree), contact.thickness)
+        degree = default_degree(self.facets, contact.contactor.is_membrane)
+        points = IntegrationPoints.gauss(self.facets, np.full(count, degree), contact.thickness)
+        degrees = degrees_on(self.facets, degree, self._faced_extents(points))
+        return points if (degrees == degree).all() else IntegrationPoints.gauss(self.facets, degrees, contact.thickness)
+
+    def _faced_extents(self, points: IntegrationPoints) -> Array:
+        """(nf,) extent (m) of the target's facets that each facet may face: of the finest that is closest to one of its
+        points at the start, or the mean of all, onto which it may slide, if that is less."""
+        mean = float(np.mean(self.target.extents))
+        faced = np.full(self.facets.size, mean)
+        if isinstance(self.target, DeformableTarget) and self.facets.size:
+            at = self.target.at_reference(points.interpolate(self.facets.X))
+            np.minimum.at(faced, points.facet, self.target.extents[at.point.facet])
+        return faced
 
     @property
     def _wants_segments(self) -> bool:
@@ -391,6 +405,15 @@ class ContactPair(PairResults):
         """Let the active set change, once per Newton iteration; whether any point did, on any rank."""
         changed = self.active.decide(self.state, self.kinematics, residual, self.unit, self.ε.normal)
         return bool(self.comm.allreduce(changed, MPI.LOR))
+
+    def decisions(self) -> Decisions:
+        """What :meth:`decide` may change, and at which points."""
+        return self.integration, self.active.snapshot()
+
+    def undo_decisions(self, saved: Decisions) -> None:
+        """Take decisions back; segments may have moved since."""
+        points, decisions = saved
+        self.active.restore(decisions, points.nearest(self.integration.facet, self.integration.η))
 
     def violation(self) -> float:
         """Largest |λ̂_N| (Pa) at a point that is closed or open against eq. (1), as a share of the largest pressure

@@ -53,7 +53,8 @@ class ContactIteration:
         self.problem, self._size = problem, size
         self.steps = self.solves = 0
         self._z, self._step, self._total = (problem.x.duplicate() for _ in range(3))
-        self._f, self._forces = problem.residual.duplicate(), problem.bulk_forces.duplicate()
+        self._f, self._goal = problem.residual.duplicate(), problem.residual.duplicate()
+        self._forces = problem.bulk_forces.duplicate()
         self._at_z = False
         self._factors = _Factors()
         self._ksp = PETSc.KSP().create(problem.comm)
@@ -69,13 +70,18 @@ class ContactIteration:
             known = bool(self._z.norm(PETSc.NormType.NORM_INFINITY) == 0.0)
         return known
 
-    def improve(self, x: PETSc.Vec, y: PETSc.Vec, pc: PETSc.PC, start: float) -> PETSc.Vec | None:
+    def improve(
+        self, x: PETSc.Vec, y: PETSc.Vec, pc: PETSc.PC, start: float, residual: PETSc.Vec, share: float
+    ) -> PETSc.Vec | None:
         """What to add to y so that contact settles on the linearised bulk; None if it has (collective).
 
-        `pc` has the Jacobian's factors, `start` is the size of the residual at x.
+        `pc` has the Jacobian's factors, `residual` is that at x, and y is a `share` of Newton's step: the same share of the
+        residual is to be taken away. `start` is its size before the active set's last decisions.
         """
-        p, z, enough = self.problem, self._z, max(1.0, ENOUGH * start)
-        self._sets, before = [pair.active.snapshot() for pair in p.pairs], p.contact_pattern()
+        p, z, enough = self.problem, self._z, max(1.0, ENOUGH * share * start)
+        residual.copy(self._goal)
+        self._goal.scale(1.0 - share)
+        self._decisions, before = [pair.decisions() for pair in p.pairs], p.contact_pattern()
         p.bulk_forces.copy(self._forces)
         z.waxpy(-1.0, y, x)
         self._evaluate()
@@ -103,8 +109,8 @@ class ContactIteration:
 
     def undo(self) -> None:
         """Take back the decisions of :meth:`improve`."""
-        for pair, saved in zip(self.problem.pairs, self._sets, strict=True):
-            pair.active.restore(saved)
+        for pair, saved in zip(self.problem.pairs, self._decisions, strict=True):
+            pair.undo_decisions(saved)
 
     def _evaluate(self) -> None:
         """Bring the pairs and their active sets up to date with z."""
@@ -112,14 +118,16 @@ class ContactIteration:
         p.unpack(self._z)
         p.evaluate()
         p.add_contact(self._f)
+        self._f.axpy(-1.0, self._goal)
         p.decide(self._f)
 
     def _balance(self, bulk: PETSc.Mat, y: PETSc.Vec) -> float:
-        """In f the residual at x − y, its bulk linear from x on; returns its size."""
+        """In f the residual at x − y, its bulk linear from x on, less what may be left; returns its size."""
         p = self.problem
         bulk.mult(y.getNestSubVecs()[0], p.bulk_forces)
         p.bulk_forces.aypx(-1.0, self._forces)
         p.add_contact(self._f)
+        self._f.axpy(-1.0, self._goal)
         return self._size(self._f)
 
     def _solve(self, most: int) -> int:

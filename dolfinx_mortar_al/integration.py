@@ -1,7 +1,7 @@
 """Where the contactor's integrals are taken: points and weights on its reference facets.
 
-Either Gauss points, the same on each facet, or those of segments (`segments.py`), of another number on each facet. All that
-comes after takes points one by one.
+Either Gauss points, which stay where they are, or those of segments (`segments.py`). Their number differs from facet to
+facet; all that comes after takes points one by one.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.surface import Facets, surface_normal
 
-__all__ = ["IntegrationPoints", "default_degree", "segment_degree"]
+__all__ = ["IntegrationPoints", "default_degree", "degrees_on", "segment_degree"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -27,13 +27,21 @@ PER_ORDER = 4
 PER_ORDER_ON_CURVES = 6
 PER_TARGET_FACET = 2.0  # points along each target facet's length: none is passed over
 HIGHEST = 30
+ROUND_OFF = 1e-6  # of a number of points: facets that are alike but for it get as many
 
 
-def default_degree(facets: Facets, is_membrane: bool, ratio: float) -> int:
-    """The quadrature degree that is used unless the user names one; `ratio` of the contactor's to the target's facets."""
+def default_degree(facets: Facets, is_membrane: bool) -> int:
+    """The quadrature degree that is used unless the user names one or the target's facets are finer."""
     order = facets.shape.order
-    degree = PER_ORDER_ON_CURVES * order + 1 if is_membrane and facets.shape.dim == 1 else PER_ORDER * order
-    return min(HIGHEST, max(degree, 2 * int(np.ceil(PER_TARGET_FACET * ratio)) - 1))
+    return PER_ORDER_ON_CURVES * order + 1 if is_membrane and facets.shape.dim == 1 else PER_ORDER * order
+
+
+def degrees_on(facets: Facets, degree: int, faced: Array) -> Index:
+    """(nf,) the degree on each facet that gives PER_TARGET_FACET points on each of the target's facets, whose extents are
+    `faced` (nf,) in metres: `degree` or more."""
+    ratio = facets.areas() ** (1.0 / facets.shape.dim) / faced
+    points = np.ceil(PER_TARGET_FACET * ratio - ROUND_OFF).astype(np.int64)
+    return np.clip(2 * points - 1, degree, HIGHEST)
 
 
 def segment_degree(facets: Facets, multiplier_order: int) -> int:
@@ -61,11 +69,20 @@ class IntegrationPoints:
     thickness: float
 
     @classmethod
-    def gauss(cls, facets: Facets, degree: int, thickness: float) -> IntegrationPoints:
-        """Gauss points of a degree on each facet."""
-        η, weight = facets.shape.quadrature(degree)
-        facet = np.repeat(np.arange(facets.size), len(weight))
-        return cls(facets, facet, np.tile(η, (facets.size, 1)), np.tile(weight, facets.size), thickness)
+    def gauss(cls, facets: Facets, degrees: Index, thickness: float) -> IntegrationPoints:
+        """Gauss points, on each facet of its own of the `degrees` (nf,)."""
+        facet: list[Index] = [np.zeros(0, dtype=np.int64)]
+        η: list[Array] = [np.zeros((0, facets.shape.dim))]
+        weight: list[Array] = [np.zeros(0)]
+        for degree in np.unique(degrees):
+            own, (points, weights) = np.flatnonzero(degrees == degree), facets.shape.quadrature(int(degree))
+            facet.append(np.repeat(own, len(weights)))
+            η.append(np.tile(points, (len(own), 1)))
+            weight.append(np.tile(weights, len(own)))
+        order = np.argsort(np.concatenate(facet), kind="stable")
+        return cls(
+            facets, np.concatenate(facet)[order], np.concatenate(η)[order], np.concatenate(weight)[order], thickness
+        )
 
     @property
     def size(self) -> int:

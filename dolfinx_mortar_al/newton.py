@@ -391,15 +391,16 @@ class NewtonSolver:
             self._path.load.value += length * change
         if length < 1.0:
             y.scale(length)
-        improved = length == 1.0 and self._path is None and not p.tension and self._improve(x, y)
+        improved = self._path is None and not p.tension and self._improve(x, y, length)
         return improved or length < 1.0 or self._path is not None
 
-    def _improve(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
-        """Let contact settle on the linearised bulk; whether the step x ← x − y is another than Newton's now. It is not where
-        it would invert a cell or move a node by more than LONGEST facets."""
+    def _improve(self, x: PETSc.Vec, y: PETSc.Vec, share: float) -> bool:
+        """Let contact settle on the linearised bulk; whether the step x ← x − y is another than that `share` of Newton's now.
+        It is not where it would invert a cell or move a node by more than LONGEST facets."""
         p = self.problem
         with p.stopwatch("contact iteration"):
-            change = self.contact_iteration.improve(x, y, self.snes.getKSP().getPC(), max(self.result.norms[-1]))
+            pc, f = self.snes.getKSP().getPC(), self.snes.getFunction()[0]
+            change = self.contact_iteration.improve(x, y, pc, max(self.result.norms[-1]), f, share)
             if change is None:
                 return False
             yu = y.getNestSubVecs()[0].array_r + change.getNestSubVecs()[0].array_r

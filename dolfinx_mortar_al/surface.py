@@ -218,6 +218,10 @@ class Facets:
     def size(self) -> int:
         return len(self.entities)
 
+    def areas(self) -> Array:
+        """(nf,) reference areas (m², or m in two dimensions)."""
+        return _areas(self.shape, self.X)
+
     def gather(self) -> GatheredFacets:
         """The whole surface on every rank (its topology only; positions follow each Newton iteration)."""
         comm, V = self.space.mesh.comm, self.space

@@ -68,28 +68,47 @@ class Ball:
 # ---------------------------------------------------------------- plane
 
 YOUNG, NU, RADIUS = (210e3, 70e3), 0.3, 50.0  # MPa; cylinder and block; mm
-E_STAR = 1 / sum((1 - NU**2) / E for E in YOUNG)
 PRINTED = 35e3  # N/mm
 ZONE = 1.25  # of the half width: where cells are equal
 
 
-def press(P: float, n: int, extent: float, depth: tuple[float, float]) -> tuple[ContactProblem, Effort]:
-    """Half a cylinder on half a block, under P (N/mm), n cells per half width of contact; `extent` and depths (mm)."""
-    a, small = Cylinders(E_STAR, RADIUS, P).half_width, max(2, round(0.8 * n))
+def effective(young: tuple[float, float]) -> float:
+    """E* (MPa) of two bodies in plane strain."""
+    return 1 / sum((1 - NU**2) / E for E in young)
+
+
+E_STAR = effective(YOUNG)
+
+
+def press(
+    P: float,
+    n: int,
+    extent: float,
+    depth: tuple[float, float],
+    young: tuple[float, float] = YOUNG,
+    order: int = 2,
+    block_is_contactor: bool = False,
+    **options: Any,
+) -> tuple[ContactProblem, Effort]:
+    """Half a cylinder on half a block, under P (N/mm), n cells per half width of contact; `extent` and depths (mm); `young`
+    of cylinder and block (MPa), `order` of elements, further `options` of Contact."""
+    a, small = Cylinders(effective(young), RADIUS, P).half_width, max(2, round(0.8 * n))
     bodies = []
     for k, (cells, curvature, up) in enumerate([(n, 1 / RADIUS, True), (small, 0.0, False)]):
         h, zone = a / cells, ceil(ZONE * cells) + k
         across = graded(zone * h, zone, extent if up else max(extent, depth[1]))
         faces = {(1, 0): (SURFACE, OTHER_SURFACE)[k], (1, -1): (FAR, OTHER_FAR)[k], (0, 0): SIDE}
-        bodies.append(half_space([across], graded(h, 1, depth[k], 1.25), up, curvature, faces, near=zone * h))
+        down = graded(h, 1, depth[k], 1.25)
+        bodies.append(half_space([across], down, up, curvature, faces, near=zone * h, order=order))
     domain, cells_, facets = build(bodies)
-    V, u = space(domain, 2)
+    V, u = space(domain, order)
     dx, ds = measures(domain, cells_, facets)
-    F = sum(elastic_work(u, E, NU, dx(k)) for k, E in enumerate(YOUNG, start=1))
+    F = sum(elastic_work(u, E, NU, dx(k)) for k, E in enumerate(young, start=1))
     load = fem.Constant(domain, 0.0)
     F += load * ufl.TestFunction(V)[1] * ds(FAR)
     bcs = [hold(V, facets, SIDE, 0), hold(V, facets, OTHER_FAR)]
-    contact = make_contact(Surface(domain, facets, SURFACE), Surface(domain, facets, OTHER_SURFACE))
+    sides = [Surface(domain, facets, SURFACE), Surface(domain, facets, OTHER_SURFACE)]
+    contact = make_contact(*(reversed(sides) if block_is_contactor else sides), **options)
     problem, effort = ContactProblem(F, u, bcs=bcs, contacts=[contact]), Effort()
     march(problem, load, to=P / 2 / extent, increments=1, effort=effort)
     return problem, effort
