@@ -59,6 +59,8 @@ class Blocks:
         self.target, self.multiplier = target, multiplier
         self.contactor, self.fixed = contactor, fixed
         self.gdim = fixed.shape[2]
+        #: (nf, multiplier nodes) nodes whose multiplier is no matter of a facet's open points, None if there are none
+        self.left_out: Bool | None = None
         self.take(points)
 
     def take(self, points: IntegrationPoints) -> None:
@@ -71,11 +73,18 @@ class Blocks:
         """(n, components) the multiplier field at the points (Pa)."""
         return np.asarray((self.NΛ * self.multiplier.own_nodal()[self.points.facet]).sum(axis=1))
 
+    def _tests(self, state: LawState) -> Array:
+        """(n, nodes, components) the multiplier's test functions."""
+        if self.left_out is None:
+            return self.NΛ
+        out = self.left_out[self.points.facet] & (state.status == OPEN)[:, None]
+        return np.where(out[:, :, None], 0.0, self.NΛ)
+
     # ---------------------------------------------------------------- residual, eq. (4)
 
     def multiplier_residual(self, state: LawState) -> tuple[Index, Array]:
         """∫ r·N1 Λ* dS₀: global blocks (nf, nodes) and element vectors (nf, nodes, components)."""
-        values = self.NΛ * (self.points.j[:, None] * state.r)[:, None, :]
+        values = self._tests(state) * (self.points.j[:, None] * state.r)[:, None, :]
         return self.multiplier.blocks, self.points.sum_by_facet(values)
 
     def body_residual(self, state: LawState, kinematics: Kinematics) -> list[tuple[Index, Array]]:
@@ -105,6 +114,7 @@ class Blocks:
         rows, columns = kinematics.rows(act), kinematics.columns(act)
 
         n, d, m = len(act), self.gdim, self.multiplier.components
+        tests = self._tests(state)
         NΛ, δr = self.NΛ[act], δr * j[:, None, None]
         z = d * len(slots.names)
 
@@ -114,12 +124,12 @@ class Blocks:
         C_Λ = C[..., z:].reshape(n, R, d * m)
         UΛ = (np.swapaxes(rows, 1, 2) @ C_Λ).reshape(n, k, d, 1, m) * NΛ[:, None, None]
         r_U = apply_columns(δr[..., :z], columns, d)  # (n, m, nodes, d)
-        ΛU = NΛ[:, :, :, None, None] * r_U[:, None]
+        ΛU = tests[act][:, :, :, None, None] * r_U[:, None]
 
         ΛΛ_point = np.broadcast_to(np.eye(m) / law.ε.normal, (self.points.size, m, m)) * self.points.j[:, None, None]
         ΛΛ_point[act] = δr[..., z:]
         ΛΛ = self.points.sum_by_facet(
-            self.NΛ[:, :, :, None, None] * ΛΛ_point[:, None, :, None, :] * self.NΛ[:, None, None]
+            tests[:, :, :, None, None] * ΛΛ_point[:, None, :, None, :] * self.NΛ[:, None, None]
         )
 
         runs, target, extra = self._runs(facet, kinematics, act)

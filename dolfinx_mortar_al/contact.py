@@ -321,11 +321,15 @@ class ContactPair(PairResults):
             self._check_sides()
 
     def _divide(self) -> None:
-        """Of a surface in contact with itself, choose which parts are contactor."""
+        """Of a surface in contact with itself, choose which parts are contactor. Multipliers of a lower order than the
+        displacement are determined by the contactor's side of a crease alone: the target's, open, would pull them to zero."""
         if isinstance(self.target, SelfTarget):
             points, closed = self.integration, self.active.closed
             if self.target.divide(points.facet, self.kinematics.faced, closed, self.comm):
                 self.kinematics.evaluate()
+            if self.contact.multiplier_order < self.facets.shape.order:
+                carries = self.target.role[self.target.own] == 0
+                self.blocks.left_out = self.multiplier.touched(carries) & ~carries[:, None]
 
     def _check_sides(self) -> None:
         """Contactor and target must face each other somewhere, if they are near each other at all."""
