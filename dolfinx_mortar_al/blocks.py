@@ -60,6 +60,8 @@ class Blocks:
         self.target, self.multiplier = target, multiplier
         self.contactor, self.fixed = contactor, fixed
         self.gdim = fixed.shape[2]
+        #: (nf, multiplier nodes) nodes whose multiplier is no matter of a facet's open points, None if there are none
+        self.left_out: Bool | None = None
         self.take(points)
 
     def take(self, points: IntegrationPoints) -> None:
@@ -91,11 +93,18 @@ class Blocks:
         nodal = self.multiplier.own_nodal()[self.points.facet].reshape(*self.NΛ[:, 0].shape, 1)
         return np.asarray((self.NΛ @ nodal)[:, :, 0])
 
+    def _tests(self, state: LawState) -> Array:
+        """(n, components, nodes × components) the multiplier's test functions."""
+        if self.left_out is None:
+            return self.NΛ
+        out = self.left_out[self.points.facet] & (state.status == OPEN)[:, None]
+        return np.where(np.repeat(out, self.multiplier.components, axis=1)[:, None], 0.0, self.NΛ)
+
     # ---------------------------------------------------------------- residual, eq. (4)
 
     def multiplier_residual(self, state: LawState) -> tuple[Index, Array]:
         """∫ r·δΛ dS₀: global blocks (nf, nodes) and element vectors (nf, nodes, components)."""
-        values = ((self.points.j[:, None] * state.r)[:, None] @ self.NΛ)[:, 0]
+        values = ((self.points.j[:, None] * state.r)[:, None] @ self._tests(state))[:, 0]
         blocks, components = self.multiplier.blocks, self.multiplier.components
         return blocks, self.points.sum_by_facet(values).reshape(*blocks.shape, components)
 
@@ -126,6 +135,7 @@ class Blocks:
         rows, columns = kinematics.rows(act), kinematics.columns(act)
 
         n, d, m = len(act), self.gdim, self.multiplier.components
+        tests = self._tests(state)
         NΛ, δr = self.NΛ[act], δr * j[:, None, None]
         nodes = NΛ.shape[2] // m
         z = d * len(slots.names)
@@ -136,11 +146,11 @@ class Blocks:
         C_Λ = C[..., z:].reshape(n, R, d * m)
         UΛ = ((np.swapaxes(rows, 1, 2) @ C_Λ).reshape(n, k * d, m) @ NΛ).reshape(n, k, d, nodes, m)
         r_U = apply_columns(δr[..., :z], columns, d)  # (n, m, nodes, d)
-        ΛU = (np.swapaxes(NΛ, 1, 2) @ r_U.reshape(n, m, K * d)).reshape(n, nodes, m, K, d)
+        ΛU = (np.swapaxes(tests[act], 1, 2) @ r_U.reshape(n, m, K * d)).reshape(n, nodes, m, K, d)
 
         ΛΛ_point = np.broadcast_to(np.eye(m) / law.ε.normal, (self.points.size, m, m)) * self.points.j[:, None, None]
         ΛΛ_point[act] = δr[..., z:]
-        ΛΛ = self.points.sum_by_facet(np.swapaxes(self.NΛ, 1, 2) @ ΛΛ_point @ self.NΛ)
+        ΛΛ = self.points.sum_by_facet(np.swapaxes(tests, 1, 2) @ ΛΛ_point @ self.NΛ)
 
         runs, target, extra = self._runs(facet, kinematics, act)
         U_rows = np.concatenate([self.contactor[facet[runs]], self.target.blocks[target]], axis=1)

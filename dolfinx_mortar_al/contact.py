@@ -23,15 +23,18 @@ from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, degrees_on, segment_degree
 from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
 from dolfinx_mortar_al.law import OPEN, Augmentation, Coulomb, Frictionless, augmented_normal
+from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.results import PairResults
 from dolfinx_mortar_al.segments import Segments, segments_of
+from dolfinx_mortar_al.self_target import SelfTarget
 from dolfinx_mortar_al.step_level import StepLevel
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.surface import Facets, GatheredFacets, Surface
-from dolfinx_mortar_al.targets import DeformableTarget, RigidTarget, target_of
+from dolfinx_mortar_al.swept import DEPTH, passed_through
+from dolfinx_mortar_al.targets import DeformableTarget, RigidTarget, Target, target_of
 from dolfinx_mortar_al.validation import constant_value, number, whole
 
 __all__ = ["Contact", "ContactPair"]
@@ -41,17 +44,19 @@ Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 Decisions = tuple[IntegrationPoints, tuple[Bool, Index, bool]]
 
+PASSED = "the step has carried one part of the surface through another; take smaller steps"
 SOFTER = 0.1  # ε over the bulk's stiffness at the surface (docs/newton.md)
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
 
 
 @dataclass(frozen=True)
 class Contact:
-    """Two surfaces that may touch.
+    """Two surfaces that may touch, or one that may touch itself.
 
     Args:
         contactor: carries the multiplier and the integration points; better the finer side.
-        target: the surface that contactor points are projected onto, or a rigid obstacle.
+        target: the surface that contactor points are projected onto, or a rigid obstacle. Left out, the contactor is its own
+            target (``docs/self_contact.md``).
         friction: Coulomb's coefficient μ ≥ 0; the number 0 builds the problem with a scalar multiplier and no slip history.
             A UFL Constant may be changed between steps.
         epsilon_normal, epsilon_tangential: augmentation parameters ε_N, ε_T (Pa/m). By default both come from the bulk
@@ -69,11 +74,11 @@ class Contact:
 
     Raises:
         ValueError: on a friction that is negative or not finite, an ε that is not positive, an unknown projection, equal
-            surfaces, or what is no surface, number or name at all.
+            surfaces, closest points of a surface with itself, or what is no surface, number or name at all.
     """
 
     contactor: Surface
-    target: Surface | Obstacle
+    target: Surface | Obstacle | None = None
     friction: float | fem.Constant = 0.0
     epsilon_normal: float | None = None
     epsilon_tangential: float | None = None
@@ -114,14 +119,26 @@ class Contact:
         a, b = self.contactor, self.target
         if not isinstance(a, Surface):
             raise ValueError(f"contactor: {type(a).__name__} is not a Surface; an obstacle can be the target only")
-        if not isinstance(b, Surface | Obstacle):
-            raise ValueError(f"target: {type(b).__name__} is neither a Surface nor an obstacle of the module obstacles")
+        if b is None and self.projection != "rays":
+            raise ValueError(
+                f'projection = "{self.projection}" with no target: the closest point of a surface to itself is the point '
+                'itself; take projection = "rays", or name a target'
+            )
+        if not isinstance(b, Surface | Obstacle | None):
+            raise ValueError(
+                f"target: {type(b).__name__} is neither a Surface nor an obstacle of the module obstacles; leave it out for "
+                "the contact of a surface with itself"
+            )
         if isinstance(b, Surface) and a.mesh is b.mesh and a.tags is b.tags and a.tag == b.tag:
-            raise ValueError(f"contactor and target are the same surface (tag {a.tag}): a pair needs two")
+            raise ValueError(
+                f"contactor and target are the same surface (tag {a.tag}): leave the target out for contact with itself"
+            )
 
     @property
     def target_name(self) -> str:
         """The target in a message."""
+        if self.target is None:
+            return "itself"
         return f"tag {self.target.tag}" if isinstance(self.target, Surface) else type(self.target).__name__
 
 
@@ -142,7 +159,7 @@ class ContactPair(PairResults):
         self._body1 = bodies.bodies[k]
         self.facets = Facets.of(contact.contactor, self._body1.space)
         contactor = self.facets.gather()
-        self.target = target_of(contact.target, bodies, contactor.size_of_facets, contact.projection == "rays")
+        self.target = self._make_target(bodies, contactor.size_of_facets)
         #: Gauss points: all there is without segments, and with them where λ̂_N is kept from step to step
         self.gauss = self._points()
         self.integration = self.gauss
@@ -164,6 +181,13 @@ class ContactPair(PairResults):
         self.segments = self._make_segments()
 
     # ---------------------------------------------------------------- set-up
+
+    def _make_target(self, bodies: Bodies, size: float) -> Target:
+        """The target; `size` (m) of the contactor's facets."""
+        contact = self.contact
+        if contact.target is None:
+            return SelfTarget(contact.contactor, self.facets, bodies)
+        return target_of(contact.target, bodies, size, contact.projection == "rays")
 
     def _at_nodes(self, u: fem.Function) -> Array:
         """(nf, nodes, gdim) values of the contactor's body at its facets' nodes; ghosts are up to date."""
@@ -222,6 +246,8 @@ class ContactPair(PairResults):
         """
         if not (isinstance(self.target, DeformableTarget) and self.target.is_of(self._body1.u)):
             return
+        if isinstance(self.target, SelfTarget):
+            return
         shared = np.isin(contactor.blocks, self.target.surface.blocks)
         if shared.any():
             X = ", ".join(f"{x:.4g}" for x in contactor.X[shared][0])
@@ -236,11 +262,11 @@ class ContactPair(PairResults):
         fixed = fixed.copy()
         facet, node = np.nonzero(fixed.any(axis=2))
         if isinstance(self.target, DeformableTarget) and len(facet):
-            x = self.facets.X[facet, node]
-            at = self.target.at_reference(x)
-            on_target = self.target.fixed[self.target.facets[at.point.facet]]
-            touching = np.linalg.norm(x - at.y, axis=1, keepdims=True) <= self.target.size
-            fixed[facet, node] &= touching & (np.einsum("nk,nki->ni", np.abs(at.N), on_target) > 1 - 1e-6)
+            points = IntegrationPoints(self.facets, facet, self.facets.shape.nodes[node], np.ones(len(facet)), 1.0)
+            at, near = self.target.opposite(contactor_points(points, self.facets.X))
+            on_target = self.target.fixed[self.target.facets[at.facet]]
+            given = np.einsum("nk,nki->ni", np.abs(self.target.weights(at)), on_target) > 1 - 1e-6
+            fixed[facet, node] &= near[:, None] & given
         return fixed if self.friction else np.asarray(fixed.all(axis=2, keepdims=True))
 
     def nodal_values(self, u: fem.Function) -> Array:
@@ -301,10 +327,23 @@ class ContactPair(PairResults):
         k.set_history(self.target.closest(k.positions()).point)
         k.evaluate()
         k.commit()
+        self._divide()
         self.active.closed = k.may_close & (k.at.g >= -k.touch)
         self.active.begin()
         self.evaluate()
-        self._check_sides()
+        if not isinstance(self.target, SelfTarget):
+            self._check_sides()
+
+    def _divide(self) -> None:
+        """Of a surface in contact with itself, choose which parts are contactor. Multipliers of a lower order than the
+        displacement are determined by the contactor's side of a crease alone: the target's, open, would pull them to zero."""
+        if isinstance(self.target, SelfTarget):
+            points, closed = self.integration, self.active.closed
+            if self.target.divide(points.facet, self.kinematics.faced, closed, self.comm):
+                self.kinematics.evaluate()
+            if self.contact.multiplier_order < self.facets.shape.order:
+                carries = self.target.role[self.target.own] == 0
+                self.blocks.left_out = self.multiplier.touched(carries) & ~carries[:, None]
 
     def _check_sides(self) -> None:
         """Contactor and target must face each other somewhere, if they are near each other at all."""
@@ -326,6 +365,8 @@ class ContactPair(PairResults):
             ValueError: on every rank.
         """
         k, comm, membrane = self.kinematics, self.comm, self.contact.contactor.is_membrane
+        if isinstance(self.target, SelfTarget):
+            return
         if comm.allreduce(float(self._depth(k.x).min(initial=np.inf)), MPI.MIN) < -k.touch:
             return
         body, d = self._body1, self.gdim
@@ -353,6 +394,7 @@ class ContactPair(PairResults):
         """A new solve."""
         if isinstance(self.law, Coulomb):
             self.law = replace(self.law, μ=self.μ)
+        self._divide()
         self.active.begin()
         if self.segments is not None:
             self.segments.begin()
@@ -449,6 +491,19 @@ class ContactPair(PairResults):
             self.set_law(self.stiffness, FIRMER)
         return self.kinematics
 
+    def passed_through(self) -> Finding | None:
+        """In statics, of a surface in contact with itself, points that the step has carried through it (collective): a
+        ray finds what lies in front of its point, wherever that has come from."""
+        if not isinstance(self.target, SelfTarget) or isinstance(self.kinematics, StepLevel):
+            return None
+        now, (contactor, before) = self.kinematics.contactor(), self._converged
+        free = np.flatnonzero(self.state.status == OPEN)
+        x0 = self.integration.interpolate(contactor)[free]
+        surface, depth, normal = self.target.surface, DEPTH * self.target.size, now.normal[free]
+        passed = passed_through(surface, before, self.target.nodes, x0, now.x[free], depth, normal)
+        X = [tuple(x) for part in self.comm.allgather(self.points()[free[passed]].tolist()) for x in part]
+        return Finding(f"{self.name}: points passed through", float(len(X)), X[0], PASSED, True) if X else None
+
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""
         self.kinematics.commit()
@@ -466,8 +521,12 @@ class ContactPair(PairResults):
             arrays |= {"λN_hat": self.state.λN_hat.copy(), "facet": history.facet.copy(), "η": history.η.copy()}
             arrays |= {"ρ": self.kinematics.ρ.copy()}
         else:  # no array may depend on where the segments are
+            arrays["λN_hat"] = self._λN_hat_at_gauss()
+        if self.segments is not None or self.target.is_contactor:
             contactor, target = self._converged
-            arrays |= {"λN_hat": self._λN_hat_at_gauss(), "contactor": contactor.copy(), "target": target.copy()}
+            arrays |= {"contactor": contactor.copy(), "target": target.copy()}
+        if isinstance(self.target, SelfTarget):
+            arrays["role"] = self.target.role.copy()
         if isinstance(self.target, RigidTarget):
             pose = self.target.obstacle.pose
             arrays |= {"translation": pose.translation, "rotation": pose.rotation}
@@ -477,14 +536,17 @@ class ContactPair(PairResults):
         """Back to a snapshot, at displacements that have been set before; Newton expects the active set that λ̂_N says."""
         self.multiplier.field.x.array[:] = saved["multiplier"]
         self.active.guessed = bool(saved["guessed"])
+        if isinstance(self.target, SelfTarget):
+            self.target.role = saved["role"].astype(np.int64)
         if isinstance(self.target, RigidTarget):
             self.target.obstacle.pose = Pose(saved["translation"], saved["rotation"])
         λN_hat = saved["λN_hat"]
+        if "contactor" in saved:
+            self._converged = saved["contactor"].copy(), saved["target"].copy()
         if self.segments is None:
             point = TargetPoint(saved["facet"].astype(np.int64), saved["η"].copy())
             self.kinematics.set_history(point, saved["ρ"].copy())
         else:
-            self._converged = saved["contactor"].copy(), saved["target"].copy()
             self.target.refresh()
             self.segments.forget()
             self._follow()

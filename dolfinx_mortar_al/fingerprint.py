@@ -90,6 +90,8 @@ def _of_pair(pair: ContactPair) -> Fingerprint:
     if isinstance(target, Obstacle):
         shape = {name: np.asarray(v).tolist() for name, v in sorted(vars(target).items()) if not name.startswith("_")}
         return said | {"target": f"{type(target).__name__} {shape}"}
+    if target is None:
+        return said | {"target": "itself"}
     return said | {"target": f"tag {target.tag}", "target's facets": _hash([target.owned_facets()])}
 
 

@@ -201,7 +201,7 @@ def contactor_points(points: IntegrationPoints, nodes: Array) -> ContactorPoints
     tangents = points.tangents(nodes)
     normal = points.normals(tangents)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return ContactorPoints(points.interpolate(nodes), normal, tangents)
+    return ContactorPoints(points.interpolate(nodes), normal, tangents, points.facet)
 
 
 class PositionLevel(Kinematics):
@@ -211,7 +211,7 @@ class PositionLevel(Kinematics):
         self.target.refresh()
         now = self.contactor()
         self.x, self.at = now.x, self.target.project(now)
-        self.may_close = self.at.facing
+        self.may_close = self.at.facing & self.target.admits(now.facet, self.at.point)
         self.s = self.slip() if self.friction else None
 
     def slip(self) -> Array:

@@ -91,6 +91,16 @@ class MultiplierSpace:
         #: global dofs (not blocks) owned by this rank whose value is extrapolated: the system holds 0 there
         self.idle = (np.flatnonzero(flags[:owned].ravel()) + start).astype(np.int32)
 
+    def touched(self, facets: Bool) -> Bool:
+        """(nf, nodes) whether some of the given facets (nf,), on any rank, has the node (collective)."""
+        flag = fem.Function(self.field.function_space)
+        values = flag.x.array.reshape(-1, self.components)
+        values[self.dofs[facets].ravel()] = 1.0
+        flag.x.scatter_reverse(InsertMode.add)
+        flag.x.scatter_forward()
+        touched: Bool = values[self.dofs, 0] > 0
+        return touched
+
     def _extrapolations(self, shape: ShapeFunctions) -> Array:
         n = shape.nodes.shape[0]
         T = np.broadcast_to(np.eye(n), (len(self.dofs), self.components, n, n)).copy()

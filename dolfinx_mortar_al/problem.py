@@ -338,11 +338,11 @@ class ContactProblem:
             self._add_springs()
 
     def findings(self) -> list[Finding]:
-        """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse or whose
-        surfaces are prescribed to overlap (collective)."""
+        """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse, whose
+        surfaces are prescribed to overlap or have passed through themselves (collective)."""
         looks = [monitor.look() for monitor in self.monitors]
         for pair in self.pairs:
-            looks += [pair.coarse_integration(), pair.prescribed_overlap()]
+            looks += [pair.coarse_integration(), pair.prescribed_overlap(), pair.passed_through()]
         return [finding for finding in looks if finding is not None]
 
     def evaluate(self) -> None:

@@ -47,6 +47,7 @@ def cast(
     tangents: Array,
     candidates: Index,
     search: CandidateSearch,
+    depth: Array | None = None,
 ) -> RayHit:
     """The nearest valid hit of each point's ray, in front of the contactor or, in penetration, behind it.
 
@@ -57,16 +58,19 @@ def cast(
         normal: (n, gdim) the contactor's outward unit normal there; tangents: (n, dim, gdim) its covariant tangents (m).
         candidates: (n, k) facets that the rays may meet, padded with −1.
         search: for closest points, where a deep penetration is in doubt.
+        depth: (n,) penetration (m) beyond which a hit behind the contactor does not count, in place of the closest points.
     """
     row, column = np.nonzero(candidates >= 0)
     row, facet, η, d = hits(target.shape, positions[target.facets], x, normal, row, candidates[row, column])
     a = target.shape.tabulate(η, 1)[1] @ positions[target.facets[facet]]
     m = surface_normal(a) * target.orientation[facet, None]
     opposed = -dot(m, normal[row]) > FACING * np.linalg.norm(m, axis=1)
+    if depth is not None:
+        opposed &= d >= -depth[row]
     row, facet, η, d = row[opposed], facet[opposed], η[opposed], d[opposed]
 
     nearest = _first_of_each(row, np.abs(d))
-    deep = nearest[d[nearest] < -DEEP * target.size_of_facets]
+    deep = nearest[d[nearest] < -DEEP * target.size_of_facets] if depth is None else nearest[:0]
     if len(deep):
         outside = row[deep][~_is_inside(target, positions, x[row[deep]], search)]
         real = ~(np.isin(row, outside) & (d < 0))

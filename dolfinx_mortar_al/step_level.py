@@ -21,7 +21,7 @@ from dolfinx_mortar_al.kinematics import Forces, Kinematics
 from dolfinx_mortar_al.law import OPEN, STICK, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.lever import Lever
 from dolfinx_mortar_al.projection import Projection, TargetPoint, dot
-from dolfinx_mortar_al.swept import passed_through
+from dolfinx_mortar_al.swept import DEPTH, passed_through
 from dolfinx_mortar_al.targets import DeformableTarget, Place
 from dolfinx_mortar_al.variation import Slots, Variation, scaled_normal, vary_gap
 
@@ -33,7 +33,6 @@ Bool = NDArray[np.bool_]
 
 FOLLOWS = 3  # iterations of a solve in which points and directions are chosen again
 STILL = 1e-3  # of a facet: relative motions below are no direction for κ, which leaves out terms of third order
-DEPTH = 0.05  # of a facet, behind which an open point that came through its front has not been seen by contact
 
 
 @dataclass(frozen=True)
@@ -172,7 +171,8 @@ class StepLevel(Kinematics):
             self.lever = Lever.of(a, self.points.normals(a), (r0 + r1) / 2)
             self._Δa = now.tangents - self._a0
             self._w = self._w - self.lever.carry(self._Δa)
-        self.may_close = self.end.facing & pair.facing
+        admitted = self.target.admits(self.points.facet, self.end.point)
+        self.may_close = self.end.facing & pair.facing & admitted
         self.at = Projection(pair.point, self.may_close, pair.N, pair.dN, pair.y, pair.a, ν, self.end.g)
         self.s = self._w if self.friction else None
         self._q = dot(self._w, self._w) + (STILL * self.target.size) ** 2
@@ -197,7 +197,10 @@ class StepLevel(Kinematics):
             places = self._place0, self.target.place
             before, after = (place for place in places if isinstance(place, np.ndarray))
             depth = DEPTH * self.target.size
-            passed[free] = passed_through(self.target.surface, before, after, self._x0[free], self.x[free], depth)
+            normal = self._now.normal[free] if self.target.is_contactor else None
+            passed[free] = passed_through(
+                self.target.surface, before, after, self._x0[free], self.x[free], depth, normal
+            )
         return passed
 
     # ---------------------------------------------------------------- forces

@@ -350,7 +350,7 @@ def check_surfaces(contacts: Sequence[Contact]) -> None:
     Raises:
         ValueError: on every rank.
     """
-    own = [(c.contactor.owned_facets(), _owned(c.target)) for c in contacts]
+    own = [(c.contactor.owned_facets(), _owned(_other(c))) for c in contacts]
 
     def share(a: Surface, b: Any, of_a: Any, of_b: Any) -> bool:
         if not isinstance(b, Surface):
@@ -358,13 +358,13 @@ def check_surfaces(contacts: Sequence[Contact]) -> None:
         return a.mesh is b.mesh and a.mesh.comm.allreduce(len(np.intersect1d(of_a, of_b))) > 0
 
     for i, (first, (contactor, target)) in enumerate(zip(contacts, own, strict=True)):
-        a, b = first.contactor, first.target
-        if share(a, b, contactor, target):
+        a, b = first.contactor, _other(first)
+        if first.target is not None and share(a, b, contactor, target):
             raise ValueError(
                 f"contactor (tag {a.tag}) and target ({first.target_name}) have facets in common: a pair needs two surfaces"
             )
         for second, (contactor2, target2) in zip(contacts[:i], own, strict=False):
-            c, d = second.contactor, second.target
+            c, d = second.contactor, _other(second)
             same_target = (
                 b is d if not isinstance(d, Surface) else isinstance(b, Surface) and share(d, b, target2, target)
             )
@@ -378,6 +378,11 @@ def check_surfaces(contacts: Sequence[Contact]) -> None:
                     f"contacts: the surfaces of tags {a.tag} and {b.tag} are paired in both directions: drop one of the two; "
                     "either side can be the contactor"
                 )
+
+
+def _other(contact: Contact) -> Any:
+    """What the contactor may touch."""
+    return contact.contactor if contact.target is None else contact.target
 
 
 def _owned(target: Any) -> Any:

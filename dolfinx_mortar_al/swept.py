@@ -8,18 +8,28 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.projection import dot, inverse
 from dolfinx_mortar_al.surface import GatheredFacets, surface_normal
 
-__all__ = ["passed_through"]
+__all__ = ["DEPTH", "passed_through"]
 
 Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
+DEPTH = 0.05  # of a facet, behind which an open point that came through its front has not been seen by contact
 CHUNK = 2**20  # couples of points and facets looked at together
 
 
-def passed_through(target: GatheredFacets, before: Array, after: Array, x0: Array, x1: Array, depth: float) -> Bool:
+def passed_through(
+    target: GatheredFacets,
+    before: Array,
+    after: Array,
+    x0: Array,
+    x1: Array,
+    depth: float,
+    normal: Array | None = None,
+) -> Bool:
     """(n,) points that went from 𝐱₀ to 𝐱₁ (n, gdim) through the front of a target facet and ended farther behind its plane
     than `depth` (m); `before`, `after` (nodes, gdim) are the positions of the target's nodes. Facets count as flat, between
-    their corners, and motions as straight."""
+    their corners, and motions as straight. With the points' outward normals (n, gdim) only facets that oppose them count: a
+    surface does not pass through its own neighbourhood."""
     passed = np.zeros(len(x0), dtype=bool)
     if not len(x0):
         return passed
@@ -37,6 +47,8 @@ def passed_through(target: GatheredFacets, before: Array, after: Array, x0: Arra
         point, k = np.nonzero(meets.all(axis=2))
         facet = facets[k]
         crossed = _crossed(c0[facet], c1[facet], a[point], b[point], target.orientation[facet], depth)
+        if normal is not None:
+            crossed &= dot(_normal(c1[facet], target.orientation[facet]), normal[start + point]) < 0
         passed[start + point[crossed]] = True
     return passed
 
@@ -58,8 +70,13 @@ def _crossed(c0: Array, c1: Array, x0: Array, x1: Array, orientation: Array, dep
 
 def _height(c: Array, x: Array, orientation: Array) -> Array:
     """(m,) distance of 𝐱 in front of its facet's plane (m)."""
+    return dot(_normal(c, orientation), x - c[:, 0])
+
+
+def _normal(c: Array, orientation: Array) -> Array:
+    """(m, gdim) outward unit normal of each facet's plane."""
     m = surface_normal(c[:, 1 : c.shape[2]] - c[:, :1]) * orientation[:, None]
-    return dot(m, x - c[:, 0]) / np.linalg.norm(m, axis=1)
+    return np.asarray(m / np.linalg.norm(m, axis=1, keepdims=True))
 
 
 def _inside(c: Array, x: Array) -> Bool:

@@ -19,7 +19,7 @@ from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.closest_point import ClosestPoint, project
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine
-from dolfinx_mortar_al.rays import cast
+from dolfinx_mortar_al.rays import RayHit, cast
 from dolfinx_mortar_al.search import CandidateSearch, RaySearch
 from dolfinx_mortar_al.surface import Facets, Surface
 
@@ -38,11 +38,13 @@ class ContactorPoints:
 
     Attributes:
         x: (n, gdim) positions (m); normal: (n, gdim) outward unit normals; tangents: (n, dim, gdim) 𝐚₁_α (m).
+        facet: (n,) of this rank's contactor facets, the one each lies on.
     """
 
     x: Array
     normal: Array
     tangents: Array
+    facet: Index
 
 
 class Target(ABC):
@@ -85,6 +87,13 @@ class Target(ABC):
     def faced(self, points: ContactorPoints, nodes: Array) -> tuple[TargetPoint, NDArray[np.bool_]]:
         """Material points that `points` face, or else the closest ones, with the target's nodes at `nodes` (m); (n,) which
         are faced."""
+
+    #: whether the contactor is the target itself
+    is_contactor = False
+
+    def admits(self, facet: Index, at: TargetPoint) -> NDArray[np.bool_]:
+        """(n,) whether points on the contactor's facets `facet` (n,) may touch the target at the points `at` they face."""
+        return np.ones(len(facet), dtype=bool)
 
     @property
     @abstractmethod
@@ -159,18 +168,30 @@ class DeformableTarget(Target):
         return self._nodes
 
     def project(self, points: ContactorPoints, place: Place | None = None) -> Projection:
-        x, surface = points.x, self.surface
         nodes = self._nodes if place is None else place
         assert isinstance(nodes, np.ndarray)
         if not self.uses_rays:
-            return project(surface, nodes, x, self._near(x, nodes))
-        table = self._on_rays(x, points.normal, nodes)
-        return cast(surface, nodes, x, points.normal, points.tangents, table, self._near)
+            return project(self.surface, nodes, points.x, self._near(points.x, nodes))
+        return self._cast(points, nodes, self._on_rays, self._near)
+
+    def _cast(self, points: ContactorPoints, nodes: Array, rays: RaySearch, near: CandidateSearch) -> RayHit:
+        """What the points' rays meet, with the target's nodes at `nodes` (m)."""
+        x, normal = points.x, points.normal
+        table = rays(x, normal, nodes)
+        return cast(self.surface, nodes, x, normal, points.tangents, table, near, self.depth(points))
+
+    def depth(self, points: ContactorPoints) -> Array | None:
+        """(n,) how far behind the points (m) their rays look; None for as far as the closest points confirm."""
+        return None
+
+    def opposite(self, points: ContactorPoints) -> tuple[TargetPoint, NDArray[np.bool_]]:
+        """What undeformed contactor points face on the undeformed target, and (n,) whether it is near enough to count."""
+        at = self.at_reference(points.x)
+        return at.point, np.linalg.norm(points.x - at.y, axis=1) <= self.size
 
     def faced(self, points: ContactorPoints, nodes: Array) -> tuple[TargetPoint, NDArray[np.bool_]]:
         search = CandidateSearch(self.surface)
-        table = RaySearch(self.surface)(points.x, points.normal, nodes)
-        at = cast(self.surface, nodes, points.x, points.normal, points.tangents, table, search)
+        at = self._cast(points, nodes, RaySearch(self.surface), search)
         lost = np.flatnonzero(~at.facing)
         if len(lost):
             near = project(self.surface, nodes, points.x[lost], search(points.x[lost], nodes)).point

@@ -1,0 +1,148 @@
+"""A surface that is its own target (``docs/self_contact.md``).
+
+A point's ray leaves its facet and its neighbours on the side that they face, so that a hit in front of the point, whose
+normal opposes the ray, is another part of the surface. Behind the point the ray runs through the point's own body: what it
+meets nearer than the body's far side is an overlap, the far side itself is not. So hits behind count up to half the
+thickness of the body there, as it is now.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import mesh
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.projection import Projection, TargetPoint, dot
+from dolfinx_mortar_al.rays import DEEP, hits
+from dolfinx_mortar_al.roles import assign, precedes
+from dolfinx_mortar_al.search import ray_candidates
+from dolfinx_mortar_al.surface import Facets, GatheredFacets, Surface, surface_normal
+from dolfinx_mortar_al.targets import ContactorPoints, DeformableTarget
+
+__all__ = ["SelfTarget"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Bool = NDArray[np.bool_]
+
+HALF = 0.5  # of the thickness: an overlap is less than the body's far side away, however that moves in an iteration
+
+
+class SelfTarget(DeformableTarget):
+    """The target's side of a surface in contact with itself.
+
+    Args:
+        surface: the surface.
+        facets: it, as this rank owns it.
+        bodies: of the problem.
+
+    Attributes:
+        role: (nf,) of all its facets, 0 for contactor, 1 for target, as `roles.py` says.
+        own: (own nf,) which of all facets this rank's are.
+    """
+
+    is_contactor = True
+
+    def __init__(self, surface: Surface, facets: Facets, bodies: Bodies) -> None:
+        self._thickness: _Thickness | None = None
+        super().__init__(surface, bodies, uses_rays=True)
+        self.own = _among(facets, self.surface)
+        self.role: Index = np.zeros(len(self.facets), dtype=np.int64)
+        self._depth: Array = np.full(facets.size, DEEP * self.size)  # of a membrane, which has no thickness
+        if not surface.is_membrane:
+            self._thickness = _Thickness(surface.mesh, facets, bodies)
+            self.refresh()
+
+    def refresh(self) -> None:
+        super().refresh()
+        if self._thickness is not None:
+            self._depth = HALF * self._thickness.now(self._body.u.x.array)
+
+    def depth(self, points: ContactorPoints) -> Array | None:
+        return self._depth[points.facet]
+
+    def opposite(self, points: ContactorPoints) -> tuple[TargetPoint, Bool]:
+        return self.faced(points, self.surface.X)
+
+    def admits(self, facet: Index, at: TargetPoint) -> Bool:
+        return precedes(self.role, self.own[facet], at.facet)
+
+    def divide(self, facet: Index, at: Projection, closed: Bool, comm: MPI.Intracomm) -> bool:
+        """Give the facets their roles for what the points on `facet` (n,) face now; couples with `closed` points keep theirs.
+        Whether any has changed (collective)."""
+        seen = np.flatnonzero(at.facing & (self.own[facet] != at.point.facet))
+        key = self.own[facet[seen]] * len(self.facets) + at.point.facet[seen]
+        couple, inverse = np.unique(key, return_inverse=True)
+        gap, holds = np.full(len(couple), np.inf), np.zeros(len(couple), dtype=bool)
+        np.minimum.at(gap, inverse, np.abs(at.g[seen]))
+        np.logical_or.at(holds, inverse, closed[seen])
+        couple, gap, holds = (np.concatenate(comm.allgather(mine)) for mine in (couple, gap, holds))
+        couples = np.stack(np.divmod(couple, len(self.facets)), axis=1)
+        held = np.zeros(len(self.facets), dtype=bool)
+        held[couples[holds].ravel()] = True
+        before = self.role
+        self.role = assign(couples, gap, self.size, self.neighbours, self.extents, before, held)
+        return not np.array_equal(before, self.role)
+
+
+class _Thickness:
+    """How far the body reaches behind each facet of a contact surface: the distance of a few points of the facet from the
+    material points straight behind them, on the far side of the undeformed body."""
+
+    def __init__(self, domain: mesh.Mesh, facets: Facets, bodies: Bodies) -> None:
+        domain.topology.create_connectivity(domain.topology.dim - 1, domain.topology.dim)
+        outer = mesh.exterior_facet_indices(domain.topology)
+        tags = mesh.meshtags(domain, domain.topology.dim - 1, np.sort(outer), np.ones(len(outer), dtype=np.int32))
+        self._far = DeformableTarget(Surface(domain, tags, 1), bodies, uses_rays=False)
+        self._facets = facets
+        self._η = facets.shape.quadrature(2 * facets.shape.order)[0]
+        self._N, self._dN = facets.shape.tabulate(self._η, 1)
+        x, normal = self._points(facets.X)
+        self._behind, self._found = _far_side(self._far.surface, x, normal)
+        self._weights = self._far.weights(self._behind)
+
+    def _points(self, nodes: Array) -> tuple[Array, Array]:
+        """Positions and outward unit normals (nf × points, gdim) of the points, with the facets' nodes (nf, k, gdim)."""
+        d = nodes.shape[2]
+        normal = surface_normal(np.einsum("qak,fki->fqai", self._dN, nodes)) * self._facets.orientation[:, None, None]
+        normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+        return (self._N @ nodes).reshape(-1, d), normal.reshape(-1, d)
+
+    def now(self, u: Array) -> Array:
+        """(nf,) the least thickness behind each facet at the displacements u (m), collective."""
+        self._far.refresh()
+        d = self._facets.X.shape[2]
+        x, normal = self._points(self._facets.X + u.reshape(-1, d)[self._facets.dofs])
+        thickness = -dot(self._far.positions(self._behind, self._weights) - x, normal)
+        thickness = np.where(self._found, np.maximum(thickness, 0.0), np.inf)
+        return np.asarray(thickness.reshape(-1, len(self._η)).min(axis=1, initial=np.inf))
+
+
+def _far_side(outer: GatheredFacets, x: Array, normal: Array) -> tuple[TargetPoint, Bool]:
+    """Where the rays from 𝐱 (n, gdim) against `normal` leave the undeformed body through its boundary, and (n,) whether one
+    was found."""
+    table = ray_candidates(x, normal, outer.X[outer.facets], 0.0)[0]
+    row, column = np.nonzero(table >= 0)
+    row, facet, η, d = hits(outer.shape, outer.X[outer.facets], x, normal, row, table[row, column])
+    behind = d < -1e-9 * outer.size_of_facets
+    row, facet, η, d = row[behind], facet[behind], η[behind], d[behind]
+    order = np.lexsort([-d, row])
+    first = order[np.r_[True, np.diff(row[order]) > 0]] if len(order) else order
+    point = TargetPoint(np.zeros(len(x), dtype=np.int64), np.zeros((len(x), outer.shape.dim)))
+    found = np.zeros(len(x), dtype=bool)
+    found[row[first]] = True
+    point.facet[row[first]], point.η[row[first]] = facet[first], η[first]
+    return point, found
+
+
+def _among(facets: Facets, gathered: GatheredFacets) -> Index:
+    """(nf,) which of the gathered facets each of this rank's is, by its nodes."""
+    mine = facets.space.dofmap.index_map.local_to_global(facets.dofs.ravel()).reshape(facets.dofs.shape)
+    every = np.sort(gathered.blocks[gathered.facets], axis=1)
+    mine = np.sort(mine, axis=1)
+    rows = np.unique(np.concatenate([every, mine]), axis=0, return_inverse=True)[1].ravel()
+    place = np.empty(rows.max(initial=-1) + 1, dtype=np.int64)
+    place[rows[: len(every)]] = np.arange(len(every))
+    return place[rows[len(every) :]]
