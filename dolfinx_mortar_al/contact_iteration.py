@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.problem import ContactProblem
@@ -67,6 +68,9 @@ class ContactIteration:
         if known:
             self._z.axpy(-1.0, x)
             known = bool(self._z.norm(PETSc.NormType.NORM_INFINITY) == 0.0)
+        if known:  # segments were held until now
+            moved = [pair.follow() for pair in self.problem.pairs]
+            known = not self.problem.comm.allreduce(any(moved), MPI.LOR)
         return known
 
     def improve(self, x: PETSc.Vec, y: PETSc.Vec, pc: PETSc.PC, start: float) -> PETSc.Vec | None:
@@ -107,10 +111,15 @@ class ContactIteration:
             pair.active.restore(saved)
 
     def _evaluate(self) -> None:
-        """Bring the pairs and their active sets up to date with z."""
+        """Bring the pairs and their active sets up to date with z, at the points as they are: contact's state is compared
+        point by point."""
         p = self.problem
         p.unpack(self._z)
+        for pair in p.pairs:
+            pair.holds_points = True
         p.evaluate()
+        for pair in p.pairs:
+            pair.holds_points = False
         p.add_contact(self._f)
         p.decide(self._f)
 
