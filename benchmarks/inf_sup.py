@@ -21,13 +21,18 @@ from dolfinx import fem
 from dolfinx.mesh import locate_entities_boundary
 from petsc4py import PETSc
 
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, membrane
 from meshes.two_beams import LOWER, LOWER_TOP, UPPER_BOTTOM, TwoBeams
+from meshes.two_membranes import EDGE, TwoMembranes
+from meshes.two_membranes import LOWER as UNDER
+from meshes.two_membranes import UPPER as OVER
 
 YOUNG, HEIGHT = 2e6, 0.5  # Pa of the softer block, m
 ELEMENTS = ((1, 1), (2, 1), (2, 2))  # orders of displacement and multiplier
 MESHES = ((8, 1), (8, 3), (8, 8), (3, 8), (1, 8))  # cells of contactor and target, times each refinement
 REFINEMENTS = (1, 2, 4)
+OF_MEMBRANES = ((8, 2), (8, 6), (8, 8), (6, 8), (2, 8))
+THICKNESS = 1e-3  # of membranes (m)
 RATIOS = (1e-3, 1.0, 1e3)  # of the contactor's Young's modulus to the target's
 
 
@@ -57,6 +62,29 @@ def inf_sup(order: int, multiplier: int, cells: tuple[int, int], ratio: float, i
         integration=integration,
     )
     problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    return least(problem, 1.0 / cells[0] / YOUNG)
+
+
+def membranes(order: int, multiplier: int, cells: tuple[int, int], integration: str) -> float:
+    """β of two membranes for numbers of cells (contactor, target)."""
+    mesh, tags, ends = TwoMembranes(shift=0.0, height=0.0, cells=cells[::-1]).create()
+    V = fem.functionspace(mesh, ("Lagrange", order, (2,)))
+    u = fem.Function(V)
+    u.interpolate(lambda x: np.stack([0.1 * x[0], 0.0 * x[0]]))
+    bcs = [fem.dirichletbc(u, fem.locate_dofs_topological(V, 0, ends.find(EDGE)))]
+    F = membrane.neo_hookean_membrane(YOUNG, 0.3, THICKNESS).virtual_work(u)
+    contact = Contact(
+        Surface(mesh, tags, OVER, side=[0, -1]),
+        Surface(mesh, tags, UNDER, side=[0, 1]),
+        multiplier_order=multiplier,
+        integration=integration,
+    )
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    return least(problem, 1.0 / cells[0] ** 2 / (YOUNG * THICKNESS))
+
+
+def least(problem: ContactProblem, weight: float) -> float:
+    """β of a closed pair, |λ|_h² = `weight` ∫ λ² dS."""
     pair = problem.pairs[0]
 
     def jacobian(closed: bool) -> None:
@@ -69,9 +97,12 @@ def inf_sup(order: int, multiplier: int, cells: tuple[int, int], ratio: float, i
     jacobian(closed=False)
     K, mass = csr(problem.blocks[0][0]).tocsc(), csr(problem.blocks[1][1]).toarray()
     # both have the square of the multipliers' unit, and the open points' residual is λ/ε
-    mass *= pair.ε.normal * (1.0 / cells[0]) / YOUNG
+    mass *= pair.ε.normal * weight
+    idle = pair.multiplier.idle  # a fixed end has nothing to enforce
+    kept = np.setdiff1d(np.arange(len(mass)), idle)
     S = B @ scipy.sparse.linalg.splu(K).solve(B.T.toarray())
-    return float(np.sqrt(max(scipy.linalg.eigvalsh((S + S.T) / 2, mass)[0], 0.0)))
+    S, mass = ((A + A.T)[np.ix_(kept, kept)] / 2 for A in (S, mass))
+    return float(np.sqrt(max(scipy.linalg.eigvalsh(S, mass)[0], 0.0)))
 
 
 def main() -> None:
@@ -89,6 +120,15 @@ def main() -> None:
                     said = " | ".join(f"{β:.1e}" for β in found)
                     print(f"| {order}, {multiplier} | {cells[0]}, {cells[1]} | {ratio:g} | {integration} | {said} |",
                           flush=True)  # fmt: skip
+    print("\nMembranes:\n\n| order, multiplier | cells of contactor, target | integration | " + " | ".join(
+        f"β, {n}×" for n in REFINEMENTS) + " |")  # fmt: skip
+    print("|" + "---|" * (3 + len(REFINEMENTS)))
+    for order, multiplier in ELEMENTS:
+        for cells in OF_MEMBRANES:
+            for integration in ("gauss", "segments"):
+                found = [membranes(order, multiplier, (n * cells[0], n * cells[1]), integration) for n in REFINEMENTS]
+                said = " | ".join(f"{β:.1e}" for β in found)
+                print(f"| {order}, {multiplier} | {cells[0]}, {cells[1]} | {integration} | {said} |", flush=True)
 
 
 if __name__ == "__main__":

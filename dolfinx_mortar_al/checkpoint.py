@@ -169,7 +169,7 @@ class Checkpoint:
     def _adopt(self, slot: int, header: dict[str, Any], arrays: dict[str, Array]) -> None:
         """Make a set the problem's state, if it is of this problem."""
         other = differences(header["problem"], fingerprint(self._problem, self._motions))
-        shapes = {name: a.shape for name, a in self._arrays().items()} == {name: a.shape for name, a in arrays.items()}
+        shapes = _shapes(self._arrays()) == _shapes(arrays)
         if not other and not all(self._problem.comm.allgather(shapes)):
             other = ["the state's arrays have other shapes"]
         if other:
@@ -215,6 +215,11 @@ class Checkpoint:
             snapshot[member][name] = array
         self._problem.limp = False  # a step has converged
         self._problem.restore(snapshot)
+
+
+def _shapes(arrays: dict[str, Array]) -> dict[str, tuple[int, ...]]:
+    """The shapes that two states of a problem have in common: the number of segments' points is not the problem's."""
+    return {name: a.shape[1:] if ".points_" in name else a.shape for name, a in arrays.items()}
 
 
 def _whole(headers: Sequence[dict[str, Any] | None]) -> bool:

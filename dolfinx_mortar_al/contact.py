@@ -178,6 +178,8 @@ class ContactPair(PairResults):
         self.multiplier = MultiplierSpace(self.facets, contact.multiplier_order, components, redundant)
         self.blocks = Blocks(self.integration, self.contactor_blocks, fixed, self.target, self.multiplier)
         self.active = ActiveSet(self.blocks, self.comm)
+        #: whether segments stay where they are, whatever moves
+        self.holds_points = False
         self.segments = self._make_segments()
 
     # ---------------------------------------------------------------- set-up
@@ -323,7 +325,7 @@ class ContactPair(PairResults):
         k = self.kinematics
         self.target.refresh()
         self._remember()
-        self._follow()
+        self.follow_segments()
         k.set_history(self.target.closest(k.positions()).point)
         k.evaluate()
         k.commit()
@@ -402,9 +404,8 @@ class ContactPair(PairResults):
     def evaluate(self) -> None:
         """Projection, slip and law at the displacements and the multiplier field; ghosts are up to date."""
         with self.stopwatch("projection"):
-            if self.segments is not None:
-                self.target.refresh()
-                self._follow()
+            if not self.holds_points:
+                self.follow_segments()
             self.kinematics.evaluate()
         with self.stopwatch("contact"):
             self._read_multiplier()
@@ -423,11 +424,32 @@ class ContactPair(PairResults):
             self._read_multiplier()
         return changed
 
-    def _follow(self) -> None:
-        """Let the segments follow the bodies: all that is kept at points moves along."""
-        points = None if self.segments is None else self.segments.follow(self.kinematics.nodes(), self.target.nodes)
-        if points is None:
+    def follow_segments(self) -> bool:
+        """Let the segments follow the bodies, as far as points may move: all that is kept at points moves along. Whether they
+        did on this rank; the pair is to be evaluated then."""
+        if self.segments is None or isinstance(self.kinematics, StepLevel):
+            return False
+        self.target.refresh()
+        points = self.segments.follow(self.kinematics.nodes(), self.target.nodes)
+        if points is not None:
+            self._adopt(points)
+        return points is not None
+
+    def begin_step(self) -> None:
+        """A time step starts from the present displacements. Segments follow the bodies on facets without a closed point; on
+        the others they stay, as points that move under pressure would give energy (``docs/impact.md``)."""
+        if self.segments is None:
             return
+        self.target.refresh()
+        self.segments.forget()
+        points = self.segments.follow(self.kinematics.nodes(), self.target.nodes)
+        assert points is not None
+        held = self.integration.sum_by_facet(self.active.closed.astype(float)) > 0
+        self._adopt(self.integration.spliced(points, held))
+        self.evaluate()
+
+    def _adopt(self, points: IntegrationPoints) -> None:
+        """Integrate at these points from now on."""
         origin = self.integration.nearest(points.facet, points.η)
         self.integration = points
         self.kinematics.take(points, *self._converged)
@@ -478,13 +500,7 @@ class ContactPair(PairResults):
     # ---------------------------------------------------------------- steps
 
     def use_steps(self) -> StepLevel:
-        """Take the kinematics of time steps, for impact.
-
-        Raises:
-            ValueError: on every rank, with segments, which do not follow the bodies there.
-        """
-        if self.segments is not None:
-            raise ValueError(f'{self.name}: integration = "segments" is for statics; take "gauss" in impact')
+        """Take the kinematics of time steps, for impact."""
         if not isinstance(self.kinematics, StepLevel):
             self.kinematics = StepLevel(self.kinematics)
             self.active.cautious = False
@@ -520,8 +536,8 @@ class ContactPair(PairResults):
         if self.segments is None:
             arrays |= {"λN_hat": self.state.λN_hat.copy(), "facet": history.facet.copy(), "η": history.η.copy()}
             arrays |= {"ρ": self.kinematics.ρ.copy()}
-        else:  # no array may depend on where the segments are
-            arrays["λN_hat"] = self._λN_hat_at_gauss()
+        else:  # in statics no array may depend on where the segments are
+            arrays |= self._state_at_points()
         if self.segments is not None or self.target.is_contactor:
             contactor, target = self._converged
             arrays |= {"contactor": contactor.copy(), "target": target.copy()}
@@ -549,10 +565,32 @@ class ContactPair(PairResults):
         else:
             self.target.refresh()
             self.segments.forget()
-            self._follow()
-            λN_hat = λN_hat[self.gauss.nearest(self.integration.facet, self.integration.η)]
+            if len(saved["points_facet"]):
+                facet, η = saved["points_facet"].astype(np.int64), saved["points_η"].copy()
+                weight = saved["points_weight"].copy()
+                self._adopt(IntegrationPoints(self.facets, facet, η, weight, self.contact.thickness))
+                λN_hat = saved["points_λN_hat"]
+            else:
+                self.follow_segments()
+                λN_hat = λN_hat[self.gauss.nearest(self.integration.facet, self.integration.η)]
         self.kinematics.evaluate()
         self.active.expect(λN_hat, self.kinematics, self.ε.normal)
+        if self.segments is not None:  # of as many points as there are now
+            self._read_multiplier()
+            self.apply_law()
+
+    def _state_at_points(self) -> dict[str, Array]:
+        """λ̂_N (Pa), for the active set: at Gauss points in statics; in time steps at the segments' points, which are part of
+        the state there."""
+        held = isinstance(self.kinematics, StepLevel)
+        points, k = self.integration, self.integration.size if held else 0
+        return {
+            "λN_hat": np.zeros(self.gauss.size) if held else self._λN_hat_at_gauss(),
+            "points_facet": points.facet[:k].astype(float),
+            "points_η": points.η[:k].copy(),
+            "points_weight": points.weight[:k].copy(),
+            "points_λN_hat": self.state.λN_hat[:k].copy(),
+        }
 
     def _λN_hat_at_gauss(self) -> Array:
         """(ng,) λ̂_N (Pa) at the Gauss points, which stay where they are while segments move."""

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.problem import ContactProblem
@@ -68,6 +69,9 @@ class ContactIteration:
         if known:
             self._z.axpy(-1.0, x)
             known = bool(self._z.norm(PETSc.NormType.NORM_INFINITY) == 0.0)
+        if known:  # segments were held until now
+            moved = [pair.follow_segments() for pair in self.problem.pairs]
+            known = not self.problem.comm.allreduce(any(moved), MPI.LOR)
         return known
 
     def improve(
@@ -113,10 +117,15 @@ class ContactIteration:
             pair.undo_decisions(saved)
 
     def _evaluate(self) -> None:
-        """Bring the pairs and their active sets up to date with z."""
+        """Bring the pairs and their active sets up to date with z, at the points as they are: contact's state is compared
+        point by point."""
         p = self.problem
         p.unpack(self._z)
+        for pair in p.pairs:
+            pair.holds_points = True
         p.evaluate()
+        for pair in p.pairs:
+            pair.holds_points = False
         p.add_contact(self._f)
         self._f.axpy(-1.0, self._goal)
         p.decide(self._f)

@@ -195,7 +195,8 @@ class _Stepper:
         for motion in self.motions:
             motion.undo()
         self.move(time)
-        for level in self.levels:
+        for pair, level in zip(self.problem.pairs, self.levels, strict=True):
+            pair.begin_step()
             level.begin()
         self.move(time + Δt)
         for motion in self.motions:

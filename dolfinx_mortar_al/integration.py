@@ -141,6 +141,17 @@ class IntegrationPoints:
         distance = np.abs(self.η[place] - η[:, None]).sum(axis=2)
         return np.asarray(place[np.arange(len(facet)), distance.argmin(axis=1)])
 
+    def spliced(self, others: IntegrationPoints, keep: NDArray[np.bool_]) -> IntegrationPoints:
+        """These points on the facets `keep` (nf,), others on the rest."""
+        mine, theirs = keep[self.facet], ~keep[others.facet]
+        columns = [
+            np.concatenate([getattr(self, name)[mine], getattr(others, name)[theirs]])
+            for name in ("facet", "η", "weight")
+        ]
+        order = np.argsort(columns[0], kind="stable")
+        facet, η, weight = (column[order] for column in columns)
+        return IntegrationPoints(self.facets, facet, η, weight, self.thickness)
+
     @cached_property
     def spacing(self) -> Array:
         """(n,) reference distance between points, roughly: the facet's area per point to the power 1/dim (m)."""

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.kinematics import Forces, Kinematics
 from dolfinx_mortar_al.law import OPEN, STICK, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.lever import Lever
@@ -109,6 +110,12 @@ class StepLevel(Kinematics):
         self._remember()
         self._known, self._g0 = self.end.facing, self.end.g
         self._follows = FOLLOWS
+
+    def take(self, points: IntegrationPoints, contactor: Array, target: Array) -> None:
+        """Other points from now on, for a step from the present displacements; nothing is kept from step to step."""
+        self.points, self._place = points, None
+        self.begin()
+        self.set_history(self.end.point)
 
     def _project(self) -> None:
         """What the points face now."""

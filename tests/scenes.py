@@ -128,7 +128,7 @@ def rough(scale, seed):
 
 
 def membranes(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, contact=True, swap=False, epsilon_normal=None,
-              epsilon_tangential=None, **shape):  # fmt: skip
+              epsilon_tangential=None, integration="gauss", **shape):  # fmt: skip
     """The two membranes of section 4.2: (problem, pressure in Pa); `problem.lower` are the cells of the lower one."""
     built = TwoMembranes(**shape)
     domain, cells, edges = built.create(comm)
@@ -144,6 +144,7 @@ def membranes(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, contact=True, swap=
     sides = [Surface(domain, cells, UPPER, side=-up), Surface(domain, cells, LOWER, side=up)]
     contactor, target = reversed(sides) if swap else sides
     options = {"epsilon_normal": epsilon_normal, "epsilon_tangential": epsilon_tangential, "multiplier_order": order}
+    options |= {"integration": integration}
     contacts = [Contact(contactor, target, friction=friction, **options)] if contact else []
     problem = ContactProblem(F, u, bcs=bcs, contacts=contacts)
     problem.lower = cells.find(LOWER)
