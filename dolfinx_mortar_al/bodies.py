@@ -20,7 +20,7 @@ from petsc4py import PETSc
 
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
-from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, matrix_with_pattern
+from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.validation import check_cells, check_residual, listed
@@ -29,6 +29,7 @@ __all__ = ["Bodies", "Body"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Index32 = NDArray[np.int32]
 
 _ADD = PETSc.InsertMode.ADD
 COLLAPSED = 1e-6  # area stretch below which a membrane counts as torn down to nothing
@@ -327,9 +328,9 @@ class Bodies:
 
     # ---------------------------------------------------------------- matrices
 
-    def stiffness(self) -> tuple[list[fem.Function], tuple[Index, Index]]:
+    def stiffness(self) -> tuple[list[fem.Function], tuple[Index32, Index32]]:
         """Diagonal of the bulk's stiffness (N/m) of each body, and the pattern of all in compressed rows."""
-        diagonals, indptr, indices = [], [np.zeros(1, dtype=np.int64)], []
+        diagonals, indptr, indices = [], [np.zeros(1, dtype=np.int32)], []
         for k, body in enumerate(self.bodies):
             A = body.stiffness()
             body.floating = floating_pieces(body.space, body.piece, body.prescribed(), A)
@@ -337,11 +338,22 @@ class Bodies:
             A.getDiagonal(diagonal.x.petsc_vec)
             diagonal.x.scatter_forward()
             diagonals.append(diagonal)
-            rows, columns, _ = A.getValuesCSR()
-            block, component = np.divmod(columns.astype(np.int64), self.gdim)
-            indices.append(self.common(k, block) * self.gdim + component)
-            indptr.append(rows[1:].astype(np.int64) + indptr[-1][-1])
+            rows, columns = A.getValuesCSR()[:2]
+            A.destroy()  # the pattern takes less memory
+            self._shift(k, columns)
+            indices.append(columns)
+            indptr.append(rows[1:] + indptr[-1][-1])
         return diagonals, (np.concatenate(indptr), np.concatenate(indices))
+
+    def _shift(self, k: int, columns: Index32) -> None:
+        """Turn body k's own global columns into common ones."""
+        starts = self._own_start[:, k] * self.gdim
+        shifts = ((self._start - self._own_start)[:, k] * self.gdim).astype(np.int32)
+        if len(set(shifts)) == 1:
+            columns += shifts[0]
+            return
+        for part in np.array_split(columns, 1 + columns.size // 2**20):  # views, each with little memory beside it
+            part += shifts[np.searchsorted(starts, part, side="right") - 1]
 
     def assemble_jacobian(self, A: PETSc.Mat) -> None:
         """Add the bulk's Jacobian to A, Dirichlet rows and columns zero with a unit diagonal."""
@@ -394,10 +406,10 @@ class Bodies:
             k.array[part] = (diagonal.x.array * floating)[: part.stop - part.start]
         return k
 
-    def tension(self, pattern: tuple[Index, Index], diagonals: Sequence[fem.Function]) -> PETSc.Mat:
-        """What fictitious tensions add to the stiffness, in shares of each node's own: of its largest diagonal entry (N/m),
-        so that a soft membrane beside a stiff one has a tension of its own size."""
-        total = matrix_with_pattern(self.layout, pattern)
+    def tension(self, stiffness: PETSc.Mat, diagonals: Sequence[fem.Function]) -> PETSc.Mat:
+        """What fictitious tensions add to a matrix with room for the bodies' stiffness, in shares of each node's own: of its
+        largest diagonal entry (N/m), so that a soft membrane beside a stiff one has a tension of its own size."""
+        total = stiffness.duplicate()
         for body, map_ in zip(self.bodies, self._maps, strict=True):
             total.setLGMap(map_, map_)
             body.assemble_tension(total)

@@ -110,6 +110,8 @@ class ContactProblem:
             pair.start()
         for pair in self.pairs:
             pair.check_behind()
+        #: what solves the linear systems, in words if made a text; set by the Newton solver
+        self.linear_solver: object = None
         diameter = self.bodies.diameter()
         #: (pieces,) norm of the bulk's forces at the last evaluation on each connected piece, and their round-off (N)
         self.force_scale: Array = np.zeros(self.bodies.pieces)
@@ -165,8 +167,9 @@ class ContactProblem:
         self._layouts = [self.bodies.layout] + [Layout.of(pair.multiplier.field.function_space) for pair in self.pairs]
         n = len(self._layouts)
         self.blocks: list[list[Any]] = [[None] * n for _ in range(n)]
-        diagonals, self._bulk_pattern = self.bodies.stiffness()
-        self.blocks[0][0] = matrix_with_pattern(self.bodies.layout, self._bulk_pattern)
+        diagonals, pattern = self.bodies.stiffness()
+        self.blocks[0][0] = matrix_with_pattern(self.bodies.layout, pattern)
+        del pattern
         self._diagonals = diagonals
         #: some unprescribed displacement meets no stiffness, as a flat membrane's across it; until a step has converged
         self.limp = self.bodies.is_limp(diagonals)
@@ -212,7 +215,9 @@ class ContactProblem:
                     idle = pair.multiplier.idle
                     entries.setValuesRCV(idle[:, None], idle[:, None], np.zeros((len(idle), 1, 1)), _ADD)
                 entries.assemble()
-                self.blocks[i][j].axpy(1.0, entries, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+                # into the new matrix: a preconditioner may still work with the old one
+                entries.axpy(1.0, self.blocks[i][j], structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+                self.blocks[i][j] = entries
         self._make_nest()
 
     def _make_nest(self) -> None:
@@ -348,7 +353,7 @@ class ContactProblem:
 
     def _add_tension(self) -> None:
         if self._tension_matrix is None:
-            self._tension_matrix = self.bodies.tension(self._bulk_pattern, self._diagonals)
+            self._tension_matrix = self.bodies.tension(self.blocks[0][0], self._diagonals)
         A = self.blocks[0][0]
         A.assemble()
         A.axpy(self.tension, self._tension_matrix, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
