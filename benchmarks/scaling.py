@@ -5,7 +5,7 @@
 
 Both blocks are neo-Hookean, the upper one 1 × 1 × 0.5 m and ten times as stiff as the lower one of 2 × 1.5 × 0.8 m, whose
 cells are 1/0.7 as large, so that the meshes never match; each is a mesh of its own. The top is pressed down by 0.12 m in two
-steps and dragged obliquely by 0.22 m in four. Hexahedra, order 1 and μ = 0.3 unless said otherwise.
+steps and dragged obliquely by 0.22 m in four, or fewer of them (--steps). Hexahedra, order 1 and μ = 0.3 unless said.
 
 
 Every row is a process of its own, or an mpirun of them. Seconds are those of a Newton iteration, processor time (the largest
@@ -54,6 +54,7 @@ class Row:
     tetrahedra: bool = False
     friction: float = 0.3
     ranks: int = 1
+    steps: tuple[int, int] = STEPS
 
     @property
     def cells(self) -> int:
@@ -108,9 +109,9 @@ def build(row: Row) -> tuple[ContactProblem, fem.Constant]:
 
 
 def press_and_drag(
-    problem: ContactProblem, top: fem.Constant, solver: NewtonSolver
+    problem: ContactProblem, top: fem.Constant, solver: NewtonSolver, steps: tuple[int, int] = STEPS
 ) -> Iterator[tuple[str, quasistatic.Step]]:
-    """March through both: what is going on, and each step."""
+    """March through so many steps of both: what is going on, and each step."""
 
     def press(share: float) -> None:
         top.value[2] = -PRESSED * share
@@ -118,9 +119,11 @@ def press_and_drag(
     def drag(share: float) -> None:
         top.value[:2] = share * np.array(DRAGGED)
 
-    for doing, load, increments in (("pressed", press, STEPS[0]), ("dragged", drag, STEPS[1])):
-        for step in quasistatic.march(problem, load, to=1.0, increments=increments, start=0.0, solver=solver):
-            yield doing, step
+    for doing, load, whole, increments in zip(("pressed", "dragged"), (press, drag), STEPS, steps, strict=True):
+        if increments:
+            to = increments / whole
+            for step in quasistatic.march(problem, load, to=to, increments=increments, start=0.0, solver=solver):
+                yield doing, step
 
 
 def measure(row: Row) -> dict[str, Any]:
@@ -139,7 +142,7 @@ def measure(row: Row) -> dict[str, Any]:
     said: dict[str, Any] = asdict(row) | {"unknowns": problem.unknowns, "steps": []}
     said |= {"contact_options": [a for a in sys.argv if a.startswith("-contact_")], "failed": None}
     try:
-        for doing, step in press_and_drag(problem, top, solver):
+        for doing, step in press_and_drag(problem, top, solver, row.steps):
             state = {"closed": pair.closed_fraction(), "stick": pair.stick_fraction()}
             said["steps"].append({"doing": doing, "newton": step.iterations, "rejected": step.rejected} | state)
             if comm.rank == 0:
@@ -201,6 +204,7 @@ def main() -> None:
     parser.add_argument("--order", type=int, default=1)
     parser.add_argument("--tetrahedra", action="store_true")
     parser.add_argument("--friction", type=float, default=0.3)
+    parser.add_argument("--steps", nargs=2, type=int, default=STEPS, help="only the first of pressing and of dragging")
     parser.add_argument("--timeout", type=int, default=7200, help="seconds after which a row ends (%(default)s)")
     parser.add_argument(
         "--results", type=Path, default=ROOT / "results/scaling.jsonl", help="rows are added to this file"
@@ -220,7 +224,7 @@ def main() -> None:
             for solver in args.solvers:
                 if solver == "direct" and size > args.direct_up_to:
                     continue
-                row = Row(size, solver, args.order, args.tetrahedra, args.friction, ranks)
+                row = Row(size, solver, args.order, args.tetrahedra, args.friction, ranks, tuple(args.steps))
                 said = process(row, options, args.timeout)
                 with args.results.open("a") as file:
                     file.write(json.dumps(said) + "\n")

@@ -60,7 +60,7 @@ class LinearSolver:
     def __init__(self, problem: ContactProblem, prefix: str) -> None:
         self.problem, self._prefix = problem, prefix
         _read_command_line(prefix)
-        self.iterative = self._choose()
+        self.iterative = problem.spare_pattern = self._choose()
         self._workspace = WORKSPACE
         self.iterations = self.solves = self.failures = 0
 

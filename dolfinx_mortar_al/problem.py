@@ -110,6 +110,8 @@ class ContactProblem:
             pair.start()
         for pair in self.pairs:
             pair.check_behind()
+        #: whether matrices get room for the neighbours of facets in contact in space, too: fill that factors would pay for
+        self.spare_pattern = False
         #: what solves the linear systems, in words if made a text; set by the Newton solver
         self.linear_solver: object = None
         diameter = self.bodies.diameter()
@@ -201,9 +203,10 @@ class ContactProblem:
         if not self.comm.allreduce(grown, MPI.LOR):
             return
         for k, pair in enumerate(self.pairs, start=1):
-            fresh = np.setdiff1d(
-                pair.blocks.with_neighbours(new[k - 1], pair.kinematics), self._seen[k - 1], assume_unique=True
-            )
+            wide = new[k - 1]
+            if self.gdim == 2 or self.spare_pattern:
+                wide = pair.blocks.with_neighbours(wide, pair.kinematics)
+            fresh = np.setdiff1d(wide, self._seen[k - 1], assume_unique=True)
             self._seen[k - 1] = np.union1d(self._seen[k - 1], fresh)
             for (i, j), elements in zip(
                 [(0, 0), (0, k), (k, 0), (k, k)], pair.blocks.pattern(fresh, pair.kinematics), strict=True
