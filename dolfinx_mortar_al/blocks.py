@@ -186,9 +186,7 @@ class Blocks:
 
     def with_neighbours(self, couples: Index, kinematics: Kinematics) -> Index:
         """Couples with the neighbours of their target facets, so that the pattern outlives a point's slip to the next
-        facet. On a curve only: on a surface the fill costs more than the new factorisations."""
-        if self.target.dim > 1:
-            return couples
+        facet."""
         facet, target, more = np.unravel_index(couples, self._couple_shape)
         near = self.target.neighbours
         target, more = near[target][:, :, None], near[more][:, None, :]

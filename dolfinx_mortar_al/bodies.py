@@ -21,7 +21,7 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
 from dolfinx_mortar_al.moduli import yielding_share
-from dolfinx_mortar_al.petsc_blocks import Layout, matrix_with_pattern
+from dolfinx_mortar_al.petsc_blocks import Layout
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.validation import check_cells, check_residual, listed
@@ -31,6 +31,7 @@ __all__ = ["Bodies", "Body"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Index32 = NDArray[np.int32]
 
 _ADD = PETSc.InsertMode.ADD
 COLLAPSED = 1e-6  # area stretch below which a membrane counts as torn down to nothing
@@ -330,9 +331,9 @@ class Bodies:
 
     # ---------------------------------------------------------------- matrices
 
-    def stiffness(self) -> tuple[list[fem.Function], tuple[Index, Index]]:
+    def stiffness(self) -> tuple[list[fem.Function], tuple[Index32, Index32]]:
         """Diagonal of the bulk's stiffness (N/m) of each body, and the pattern of all in compressed rows."""
-        diagonals, indptr, indices = [], [np.zeros(1, dtype=np.int64)], []
+        diagonals, indptr, indices = [], [np.zeros(1, dtype=np.int32)], []
         #: the same diagonals, on a body's boundary as a pressure meets them
         self.yielding = []
         for k, body in enumerate(self.bodies):
@@ -344,11 +345,22 @@ class Bodies:
             diagonals.append(diagonal)
             self.yielding.append(yielding_share(body.space, A))
             self.yielding[-1].x.array[:] *= diagonal.x.array
-            rows, columns, _ = A.getValuesCSR()
-            block, component = np.divmod(columns.astype(np.int64), self.gdim)
-            indices.append(self.common(k, block) * self.gdim + component)
-            indptr.append(rows[1:].astype(np.int64) + indptr[-1][-1])
+            rows, columns = A.getValuesCSR()[:2]
+            A.destroy()  # the pattern takes less memory
+            self._shift(k, columns)
+            indices.append(columns)
+            indptr.append(rows[1:] + indptr[-1][-1])
         return diagonals, (np.concatenate(indptr), np.concatenate(indices))
+
+    def _shift(self, k: int, columns: Index32) -> None:
+        """Turn body k's own global columns into common ones."""
+        starts = self._own_start[:, k] * self.gdim
+        shifts = ((self._start - self._own_start)[:, k] * self.gdim).astype(np.int32)
+        if len(set(shifts)) == 1:
+            columns += shifts[0]
+            return
+        for part in np.array_split(columns, 1 + columns.size // 2**20):  # views, each with little memory beside it
+            part += shifts[np.searchsorted(starts, part, side="right") - 1]
 
     def assemble_jacobian(self, A: PETSc.Mat) -> None:
         """Add the bulk's Jacobian to A, Dirichlet rows and columns zero with a unit diagonal."""
@@ -357,10 +369,10 @@ class Bodies:
             body.assemble_jacobian(A)
             A.assemble(PETSc.Mat.AssemblyType.FLUSH)
 
-    def masses(self, forms: Sequence[Any], pattern: tuple[Index, Index]) -> tuple[PETSc.Mat, list[fem.Function]]:
+    def masses(self, forms: Sequence[Any], A: PETSc.Mat) -> tuple[PETSc.Mat, list[fem.Function]]:
         """The matrix of one bilinear form per body, Dirichlet rows and columns zero with a unit diagonal, and the diagonal
-        for each body; `pattern` is that of the bulk's stiffness."""
-        A = matrix_with_pattern(self.layout, pattern)
+        for each body; in A, which has room for the bulk's stiffness."""
+        A.zeroEntries()
         for body, form, map_ in zip(self.bodies, forms, self._maps, strict=True):
             A.setLGMap(map_, map_)
             dolfinx_petsc.assemble_matrix(A, form, bcs=body.bcs)
@@ -402,10 +414,10 @@ class Bodies:
             k.array[part] = (diagonal.x.array * floating)[: part.stop - part.start]
         return k
 
-    def tension(self, pattern: tuple[Index, Index], diagonals: Sequence[fem.Function]) -> PETSc.Mat:
-        """What fictitious tensions add to the stiffness, in shares of each node's own: of its largest diagonal entry (N/m),
-        so that a soft membrane beside a stiff one has a tension of its own size."""
-        total = matrix_with_pattern(self.layout, pattern)
+    def tension(self, stiffness: PETSc.Mat, diagonals: Sequence[fem.Function]) -> PETSc.Mat:
+        """What fictitious tensions add to a matrix with room for the bodies' stiffness, in shares of each node's own: of its
+        largest diagonal entry (N/m), so that a soft membrane beside a stiff one has a tension of its own size."""
+        total = stiffness.duplicate()
         for body, map_ in zip(self.bodies, self._maps, strict=True):
             total.setLGMap(map_, map_)
             body.assemble_tension(total)

@@ -19,24 +19,23 @@ from collections.abc import Callable
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from dolfinx_mortar_al.linear_solver import LinearSolver
 from dolfinx_mortar_al.problem import ContactProblem
 
 __all__ = ["ContactIteration"]
 
 ENOUGH = 0.01  # of the residual that Newton's step started from: the bulk's nonlinearity leaves as much
 LINEAR = 0.1  # relative tolerance of GMRES: the edge moves the same way with 1e-3, for twice the solves
-COSTS = 3.0  # factorisations that all the solves of a Newton step may cost
-SLOWER = 10.0  # times that an operation of a solve takes as long as one of a factorisation: it waits for the memory
-SOLVES = 20  # of a Newton step, where the solver does not say how many operations it needs
 
 
-class _Factors:
-    """PETSc's interface of a preconditioner: the factors of an earlier matrix."""
+class _Inverse:
+    """PETSc's interface of a preconditioner: what the linear solver has for the inverse of an earlier matrix."""
 
-    factors: PETSc.Mat
+    def __init__(self, linear: LinearSolver) -> None:
+        self._linear = linear
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        self.factors.solve(b, x)
+        self._linear.apply(b, x)
 
 
 class ContactIteration:
@@ -44,24 +43,24 @@ class ContactIteration:
 
     Args:
         problem: in a step, its Jacobian has been assembled at x and its pairs were last evaluated there.
+        linear: the solver of Newton's steps.
         size: of a residual, in units of its tolerance.
 
     Attributes:
         steps: taken so far; solves: with the factors that they took.
     """
 
-    def __init__(self, problem: ContactProblem, size: Callable[[PETSc.Vec], float]) -> None:
-        self.problem, self._size = problem, size
+    def __init__(self, problem: ContactProblem, linear: LinearSolver, size: Callable[[PETSc.Vec], float]) -> None:
+        self.problem, self._linear, self._size = problem, linear, size
         self.steps = self.solves = 0
         self._z, self._step, self._total = (problem.x.duplicate() for _ in range(3))
         self._f, self._goal = problem.residual.duplicate(), problem.residual.duplicate()
         self._forces = problem.bulk_forces.duplicate()
         self._at_z = False
-        self._factors = _Factors()
         self._ksp = PETSc.KSP().create(problem.comm)
         self._ksp.setType("gmres")
         self._ksp.getPC().setType("python")
-        self._ksp.getPC().setPythonContext(self._factors)
+        self._ksp.getPC().setPythonContext(_Inverse(linear))
 
     def has_evaluated(self, x: PETSc.Vec) -> bool:
         """Whether the pairs were last evaluated here, and at x (collective); asked once."""
@@ -74,13 +73,11 @@ class ContactIteration:
             known = not self.problem.comm.allreduce(any(moved), MPI.LOR)
         return known
 
-    def improve(
-        self, x: PETSc.Vec, y: PETSc.Vec, pc: PETSc.PC, start: float, residual: PETSc.Vec, share: float
-    ) -> PETSc.Vec | None:
+    def improve(self, x: PETSc.Vec, y: PETSc.Vec, start: float, residual: PETSc.Vec, share: float) -> PETSc.Vec | None:
         """What to add to y so that contact settles on the linearised bulk; None if it has (collective).
 
-        `pc` has the Jacobian's factors, `residual` is that at x, and y is a `share` of Newton's step: the same share of the
-        residual is to be taken away. `start` is its size before the active set's last decisions.
+        The linear solver was last used with the Jacobian at x, `residual` is that at x, and y is a `share` of Newton's step:
+        the same share of the residual is to be taken away. `start` is its size before the active set's last decisions.
         """
         p, z, enough = self.problem, self._z, max(1.0, ENOUGH * share * start)
         residual.copy(self._goal)
@@ -92,12 +89,12 @@ class ContactIteration:
         self._at_z, patterns = True, [p.contact_pattern()]
         if patterns[0] == before:
             return None
-        bulk, left = p.bulk_jacobian(), _affordable_solves(pc)
+        bulk, left = p.bulk_jacobian(), self._linear.affordable_solves()
         self._total.set(0.0)
         size = self._balance(bulk, y)
-        self._factors.factors = pc.getFactorMatrix()
         while left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
             p.assemble_jacobian(bulk)
+            self._linear.renew_contact()
             left -= self._solve(left)
             self._total.axpy(1.0, self._step)
             z.axpy(-1.0, self._step)
@@ -148,12 +145,3 @@ class ContactIteration:
         solves = self._ksp.getIterationNumber() + 1
         self.steps, self.solves = self.steps + 1, self.solves + solves
         return int(solves)
-
-
-def _affordable_solves(pc: PETSc.PC) -> int:
-    """How many solves with the factors cost as much as COSTS factorisations."""
-    if pc.getFactorSolverType() != "mumps":
-        return SOLVES
-    factors = pc.getFactorMatrix()
-    entries = factors.getMumpsInfog(29)  # in millions, if negative
-    return int(COSTS / SLOWER * factors.getMumpsRinfog(3) / (2 * (entries if entries > 0 else -1e6 * entries)))

@@ -1,17 +1,14 @@
 """Coupled Newton solve by PETSc SNES: convergence per block, guarded trial steps, detection of cycles.
 
 Options reach SNES, KSP and PC from the command line under the solver's prefix (default ``contact_``):
-``-contact_snes_monitor -contact_snes_max_it 40 -contact_ksp_type fgmres -contact_mat_mumps_icntl_14 200``. The matrix is a
-MATNEST, which MUMPS alone of PETSc's direct solvers takes.
+``-contact_snes_monitor -contact_snes_max_it 40 -contact_linear_solver iterative -contact_mat_mumps_icntl_14 200``. The matrix
+is a MATNEST, which MUMPS alone of PETSc's direct solvers takes.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from time import perf_counter
-from typing import ClassVar
 
 import numpy as np
 from dolfinx import fem
@@ -20,6 +17,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.contact_iteration import ContactIteration
+from dolfinx_mortar_al.linear_solver import EXTERNAL, LinearSolver
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.validation import check_callable, number, whole
 
@@ -30,9 +28,7 @@ _Reason = PETSc.SNES.ConvergedReason
 FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane's stiffness in its own plane
 LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, as a share of the largest pressure
 LONGEST = 4.0  # target facets that a closed point may move over the target in one iteration
-WORKSPACE, TOO_LITTLE_WORKSPACE = 100, (-8, -9)  # % that MUMPS gets beside its estimate; its codes for "not enough"
 UNSUITABLE = (56, 60, 62, 86, 92)  # PETSc's error codes where a solver does not take the matrix, or is not known
-EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
 ROUND_OFF = 100.0  # multiples of the tolerance in which a residual that stands still counts as round-off
 SPRING = 1e-8  # of pieces that contact alone holds, as a share of their stiffness or that of what they press
 PROGRESS = 0.1  # of the residual between two visits of a contact pattern that is no cycle
@@ -123,16 +119,6 @@ class Path:
     difference: float
 
 
-def _read_command_line(prefix: str) -> None:
-    """Hand PETSc this prefix's options from the command line: DOLFINx starts PETSc without it."""
-    mine = []
-    for word, following in zip(sys.argv[1:], [*sys.argv[2:], "-"], strict=False):
-        if word.startswith(f"-{prefix}"):
-            is_value = not following.startswith("-") or following.lstrip("-")[:1].isdigit()
-            mine += [word, following] if is_value else [word]
-    PETSc.Options().insertString(" ".join(mine))
-
-
 class NewtonSolver:
     """SNES on a :class:`~dolfinx_mortar_al.problem.ContactProblem`.
 
@@ -144,17 +130,16 @@ class NewtonSolver:
         prefix: of the PETSc options.
     """
 
-    #: options that are defaults of ours, not the user's: PETSc keeps them from one solver to the next
-    _defaulted: ClassVar[set[str]] = set()
-
     def __init__(
         self, problem: ContactProblem, *, rtol: float = 1e-9, max_iterations: int = 80, prefix: str = "contact_"
     ) -> None:
         self.problem, self.rtol = problem, number("rtol", rtol, above=0.0, below=1.0)
         self._max_iterations, self._prefix = whole("max_iterations", max_iterations, least=1), prefix
-        self._workspace = WORKSPACE
-        self.contact_iteration = ContactIteration(problem, self._size)
+        self.linear = LinearSolver(problem, prefix)
+        self.contact_iteration = ContactIteration(problem, self.linear, self._size)
         self.snes = self._create()
+        problem.linear_solver = self.linear
+        self.linear.log()
 
     def _create(self) -> PETSc.SNES:
         problem, prefix, max_iterations = self.problem, self._prefix, self._max_iterations
@@ -166,22 +151,11 @@ class NewtonSolver:
         snes.setTolerances(max_it=max_iterations)
         snes.setUpdate(self._update)
         snes.setLineSearchPreCheck(self._guard)
-        ksp = snes.getKSP()
-        ksp.setType("preonly")
-        ksp.getPC().setType("lu")
-        ksp.getPC().setFactorSolverType("mumps")
+        self.linear.configure(snes.getKSP())
         # Full steps, guarded: with changes of contact state the norm of the residual says little about progress.
-        # MUMPS: the blocks are scaled already (8: 0); minimum fill is the quickest analysis of plane problems (7: 2).
-        # 33: 1 gives the determinant, whose sign tells stable equilibria from unstable ones. 14: spare workspace, in %.
-        defaults = {"snes_linesearch_type": "basic", "mat_mumps_icntl_8": 0, "mat_mumps_icntl_33": 1}
-        defaults |= {"mat_mumps_icntl_14": self._workspace}
-        defaults |= {"mat_mumps_icntl_7": 2} if problem.gdim == 2 else {}
-        _read_command_line(prefix)
         options = PETSc.Options(prefix)
-        for name, value in defaults.items():
-            if not options.hasName(name) or prefix + name in self._defaulted:
-                options[name] = value
-                self._defaulted.add(prefix + name)
+        if not options.hasName("snes_linesearch_type"):
+            options["snes_linesearch_type"] = "basic"
         snes.setFromOptions()
         return snes
 
@@ -192,13 +166,14 @@ class NewtonSolver:
         """
         p, self._path = self.problem, path
         p.bodies.check_constants()
+        self.linear.begin()
         self.result = NewtonResult()
         self._patterns: list[int] = []
         self._cycles, self._damping, self._freezes, self._whole_step = 0, 1.0, 0, True
         self._law_since, self._set_since, self._freed = 0, 0, False
         for pair in p.pairs:
             pair.begin()
-        self._linear_start = perf_counter()
+        self._linear_start = p.stopwatch.clock()
         self._tension = FIRST_TENSION if p.limp else 0.0
         p.pack(p.x)
         with p.stopwatch("newton"):
@@ -206,7 +181,7 @@ class NewtonSolver:
                 self.snes.solve(None, p.x)
             except PETSc.Error as error:
                 if error.ierr in UNSUITABLE:
-                    raise ValueError(self._unsuitable()) from error
+                    raise ValueError(self.linear.unsuitable()) from error
                 if error.ierr != EXTERNAL:
                     raise
                 return self._singular()
@@ -222,28 +197,15 @@ class NewtonSolver:
             self.result.message = (self.result.message or self._failure(reason)) + self._advice()
         return self._singular() if reason == _Reason.DIVERGED_LINEAR_SOLVE else self.result
 
-    def _unsuitable(self) -> str:
-        """What the options ask for that PETSc cannot do."""
-        pc = self.snes.getKSP().getPC()
-        asked = f"ksp_type {self.snes.getKSP().getType()}, pc_type {pc.getType()}"
-        if pc.getType() == "lu":
-            asked += f", pc_factor_mat_solver_type {pc.getFactorSolverType()}"
-        return (
-            f"options of the prefix {self._prefix}: {asked} is not known, or does not take a matrix of blocks (MATNEST); "
-            "MUMPS does, with or without a Krylov method around it"
-        )
-
     def _singular(self) -> NewtonResult:
-        """A failed solve after which MUMPS' object cannot be used again. The next one has a fictitious tension's help, or
-        more workspace if that was all that was missing: pivoting may need more than the analysis foresaw."""
-        pc = self.snes.getKSP().getPC()
-        said = pc.getFactorMatrix().getMumpsInfog(1) if pc.getFactorSolverType() == "mumps" else 0
-        if said in TOO_LITTLE_WORKSPACE:
-            self._workspace *= 4
-            self.result.message = f"MUMPS ran out of workspace; it has {self._workspace} % more from now on"
-        else:
+        """A failed solve after which PETSc's objects cannot be used again. The next one has a fictitious tension's help,
+        unless something else than stiffness was missing."""
+        excuse = self.linear.excuse()
+        if excuse is None:
             self.problem.limp = True
             self.result.message = "the Jacobian is singular: some displacement meets no stiffness" + self._advice()
+        else:
+            self.result.message = excuse
         self.snes = self._create()
         return self.result
 
@@ -259,7 +221,7 @@ class NewtonSolver:
         self.problem.assemble_jacobian()
         if self.problem.matrix.handle != A.handle:  # a new pattern
             snes.setJacobian(self._jacobian, self.problem.matrix)
-        self._linear_start = perf_counter()
+        self._linear_start = self.problem.stopwatch.clock()
 
     def _fictitious_tension(self) -> float:
         """For a start without stiffness, such as a flat membrane: a tension in the Jacobian only.
@@ -368,7 +330,7 @@ class NewtonSolver:
     def _guard(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Shorten the step x ← x − y until no cell is inverted and no closed point slides too far."""
         p = self.problem
-        p.stopwatch.add("linear solve", perf_counter() - self._linear_start)
+        p.stopwatch.add("linear solve", p.stopwatch.clock() - self._linear_start)
         self._note_stability()
         change = self._change_load(x, y) if self._path is not None else 0.0
         length = self._damping
@@ -399,8 +361,8 @@ class NewtonSolver:
         It is not where it would invert a cell or move a node by more than LONGEST facets."""
         p = self.problem
         with p.stopwatch("contact iteration"):
-            pc, f = self.snes.getKSP().getPC(), self.snes.getFunction()[0]
-            change = self.contact_iteration.improve(x, y, pc, max(self.result.norms[-1]), f, share)
+            f = self.snes.getFunction()[0]
+            change = self.contact_iteration.improve(x, y, max(self.result.norms[-1]), f, share)
             if change is None:
                 return False
             yu = y.getNestSubVecs()[0].array_r + change.getNestSubVecs()[0].array_r
@@ -412,10 +374,10 @@ class NewtonSolver:
         return True
 
     def _note_stability(self) -> None:
-        """Remember the sign of the Jacobian's determinant, as MUMPS has it: positive at a stable equilibrium."""
-        pc = self.snes.getKSP().getPC()
-        if pc.getType() == "lu" and pc.getFactorSolverType() == "mumps":
-            self.result.signs.append(float(np.sign(pc.getFactorMatrix().getMumpsRinfog(12))))
+        """Remember the sign of the Jacobian's determinant, where it is known."""
+        sign = self.linear.sign()
+        if sign is not None:
+            self.result.signs.append(sign)
 
     def _change_load(self, x: PETSc.Vec, y: PETSc.Vec) -> float:
         """The change of load that keeps the step x ← x − y on the path's plane; y is changed with it.

@@ -115,7 +115,7 @@ class History:
 def summary(
     problem: ContactProblem, history: History, directory: Path | str, parameters: Mapping[str, Any], rejected: int
 ) -> dict[str, Any]:
-    """Write summary.json: parameters, versions, ranks, unknowns, ε, Newton iterations, wall time per part, last row."""
+    """Write summary.json: parameters, versions, ranks, unknowns, linear solver, ε, iterations, times, last row."""
     import dolfinx
     from petsc4py import PETSc
 
@@ -124,6 +124,7 @@ def summary(
         "versions": {"dolfinx": dolfinx.__version__, "petsc": ".".join(map(str, PETSc.Sys.getVersion()))},
         "ranks": problem.comm.size,
         "unknowns": problem.unknowns,
+        "linear_solver": None if problem.linear_solver is None else str(problem.linear_solver),
         "epsilon": {p.name: {"normal": p.ε.normal, "tangential": p.ε.tangential} for p in problem.pairs},
         "newton_iterations": int(sum(row["newton_iterations"] for row in history.rows)),
         "steps": len(history.rows),

@@ -14,6 +14,7 @@ __all__ = ["Layout", "empty_matrix", "insert", "insert_vector", "matrix_with_pat
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Index32 = NDArray[np.int32]
 
 _ADD = PETSc.InsertMode.ADD
 
@@ -55,14 +56,14 @@ def empty_matrix(rows: Layout, columns: Layout) -> PETSc.Mat:
     return A
 
 
-def matrix_with_pattern(layout: Layout, pattern: tuple[Index, Index]) -> PETSc.Mat:
+def matrix_with_pattern(layout: Layout, pattern: tuple[Index32, Index32]) -> PETSc.Mat:
     """A square matrix with a pattern in compressed rows (of this rank, ascending global columns), entries zero."""
     indptr, indices = pattern
     A = PETSc.Mat().create(layout.comm)
     A.setSizes((layout.sizes, layout.sizes))
     A.setType(PETSc.Mat.Type.AIJ)
     A.setBlockSize(layout.components)
-    A.setPreallocationCSR((indptr.astype(np.int32), indices.astype(np.int32), np.zeros(len(indices))))
+    A.setPreallocationCSR((indptr, indices, np.zeros(len(indices))))
     return A
 
 

@@ -110,6 +110,10 @@ class ContactProblem:
             pair.start()
         for pair in self.pairs:
             pair.check_behind()
+        #: whether matrices get room for the neighbours of facets in contact in space, too: fill that factors would pay for
+        self.spare_pattern = False
+        #: what solves the linear systems, in words if made a text; set by the Newton solver
+        self.linear_solver: object = None
         diameter = self.bodies.diameter()
         #: (pieces,) norm of the bulk's forces at the last evaluation on each connected piece, and their round-off (N)
         self.force_scale: Array = np.zeros(self.bodies.pieces)
@@ -165,8 +169,9 @@ class ContactProblem:
         self._layouts = [self.bodies.layout] + [Layout.of(pair.multiplier.field.function_space) for pair in self.pairs]
         n = len(self._layouts)
         self.blocks: list[list[Any]] = [[None] * n for _ in range(n)]
-        diagonals, self._bulk_pattern = self.bodies.stiffness()
-        self.blocks[0][0] = matrix_with_pattern(self.bodies.layout, self._bulk_pattern)
+        diagonals, pattern = self.bodies.stiffness()
+        self.blocks[0][0] = matrix_with_pattern(self.bodies.layout, pattern)
+        del pattern
         self._diagonals = diagonals
         #: some unprescribed displacement meets no stiffness, as a flat membrane's across it; until a step has converged
         self.limp = self.bodies.is_limp(diagonals)
@@ -198,9 +203,10 @@ class ContactProblem:
         if not self.comm.allreduce(grown, MPI.LOR):
             return
         for k, pair in enumerate(self.pairs, start=1):
-            fresh = np.setdiff1d(
-                pair.blocks.with_neighbours(new[k - 1], pair.kinematics), self._seen[k - 1], assume_unique=True
-            )
+            wide = new[k - 1]
+            if self.gdim == 2 or self.spare_pattern:
+                wide = pair.blocks.with_neighbours(wide, pair.kinematics)
+            fresh = np.setdiff1d(wide, self._seen[k - 1], assume_unique=True)
             self._seen[k - 1] = np.union1d(self._seen[k - 1], fresh)
             for (i, j), elements in zip(
                 [(0, 0), (0, k), (k, 0), (k, k)], pair.blocks.pattern(fresh, pair.kinematics), strict=True
@@ -212,7 +218,9 @@ class ContactProblem:
                     idle = pair.multiplier.idle
                     entries.setValuesRCV(idle[:, None], idle[:, None], np.zeros((len(idle), 1, 1)), _ADD)
                 entries.assemble()
-                self.blocks[i][j].axpy(1.0, entries, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+                # into the new matrix: a preconditioner may still work with the old one
+                entries.axpy(1.0, self.blocks[i][j], structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+                self.blocks[i][j] = entries
         self._make_nest()
 
     def _make_nest(self) -> None:
@@ -288,7 +296,7 @@ class ContactProblem:
 
     def masses(self, forms: Sequence[Any]) -> tuple[PETSc.Mat, list[fem.Function]]:
         """The bodies' mass matrix from one bilinear form per body, and its diagonal on each."""
-        return self.bodies.masses(forms, self._bulk_pattern)
+        return self.bodies.masses(forms, self.blocks[0][0].duplicate())
 
     def bulk_jacobian(self) -> PETSc.Mat:
         """The displacements' block of the Jacobian last assembled, without contact's share, at the same state."""
@@ -352,7 +360,7 @@ class ContactProblem:
 
     def _add_tension(self) -> None:
         if self._tension_matrix is None:
-            self._tension_matrix = self.bodies.tension(self._bulk_pattern, self._diagonals)
+            self._tension_matrix = self.bodies.tension(self.blocks[0][0], self._diagonals)
         A = self.blocks[0][0]
         A.assemble()
         A.axpy(self.tension, self._tension_matrix, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)

@@ -1,0 +1,270 @@
+"""The linear systems of Newton's method: a direct solver while it is the quicker one, an iterative one for larger problems.
+
+Direct: MUMPS on the matrix of blocks. Iterative: FGMRES with the preconditioner of `block_preconditioner`; where it fails
+MUMPS takes over for the rest of the Newton solve, if its factors fit into memory. docs/scaling.md has the measurements that
+the choice is made by.
+
+All options are PETSc's, under the solver's prefix (default ``contact_``), but one that makes the choice:
+``-contact_linear_solver direct`` or ``iterative``.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfinx_mortar_al.block_preconditioner import BlockPreconditioner, block_defaults
+from dolfinx_mortar_al.problem import ContactProblem
+
+__all__ = ["LinearSolver"]
+
+ITERATIVE_ABOVE = 40_000  # displacement unknowns of bodies in space: where FGMRES takes less time than MUMPS
+RTOL = 1e-4  # of FGMRES: Newton takes no more iterations than with factors (docs/scaling.md)
+MOST = 200  # iterations of FGMRES before it counts as failed; good states take up to 30
+RESTART = 60
+WORKSPACE, TOO_LITTLE_WORKSPACE = 100, (-8, -9)  # % that MUMPS gets beside its estimate; its codes for "not enough"
+TOO_LARGE = (-13, -19)  # MUMPS' codes where memory does not suffice
+SHARE = 0.8  # of the memory that is free, which factors may take
+EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
+COSTS = 3.0  # factorisations that all the solves of a Newton step may cost
+SLOWER = 10.0  # times that an operation of a solve takes as long as one of a factorisation: it waits for the memory
+SOLVES = 20  # of a Newton step, where the solver does not say how many operations it needs
+
+log = logging.getLogger(__name__)
+_Reason = PETSc.KSP.ConvergedReason
+Option = str | float
+
+
+class LinearSolver:
+    """What solves a problem's linear systems, and how.
+
+    Args:
+        problem: whose Jacobian is solved with.
+        prefix: of the PETSc options.
+
+    Attributes:
+        iterative: whether FGMRES does it.
+        solves, iterations: of FGMRES so far.
+        failures: times that MUMPS had to take over.
+    """
+
+    #: options that are defaults of ours, not the user's: PETSc keeps them from one solver to the next
+    _defaulted: ClassVar[set[str]] = set()
+
+    def __init__(self, problem: ContactProblem, prefix: str) -> None:
+        self.problem, self._prefix = problem, prefix
+        _read_command_line(prefix)
+        self.iterative = problem.spare_pattern = self._choose()
+        self._workspace = WORKSPACE
+        self.iterations = self.solves = self.failures = 0
+
+    def _choose(self) -> bool:
+        """Whether to iterate: as the options say, or by the number of unknowns that fill makes dear.
+
+        Raises:
+            ValueError: on every rank, if the option is none of the choices.
+        """
+        options = PETSc.Options(self._prefix)
+        asked = options.getString("linear_solver", "auto")
+        if asked not in ("auto", "direct", "iterative"):
+            raise ValueError(f"-{self._prefix}linear_solver {asked}: must be direct, iterative or auto, the default")
+        if asked != "auto":
+            return asked == "iterative"
+        solids = [body for body in self.problem.bodies.bodies if body.mesh.topology.dim == 3]
+        spread = [body.space.dofmap for body in solids]
+        unknowns = sum(dofmap.index_map.size_global * dofmap.index_map_bs for dofmap in spread)
+        return unknowns > ITERATIVE_ABOVE and (not options.hasName("pc_type") or self._is_ours("pc_type"))
+
+    # ---------------------------------------------------------------- options
+
+    def configure(self, ksp: PETSc.KSP) -> None:
+        """Prepare SNES' linear solver; options are read after."""
+        self._ksp = ksp
+        if self.iterative:
+            self._configure_iterative(ksp)
+        else:
+            _factorise(ksp)
+            self._default("", self._mumps_defaults())
+
+    def _configure_iterative(self, ksp: PETSc.KSP) -> None:
+        order = max(body.space.element.basix_element.degree for body in self.problem.bodies.bodies)
+        self._default("", block_defaults(order))
+        self._blocks = BlockPreconditioner(self.problem, self._prefix)
+        ksp.setType("fgmres")
+        ksp.setGMRESRestart(RESTART)
+        ksp.setTolerances(rtol=RTOL, max_it=MOST)
+        ksp.getPC().setType("python")
+        ksp.getPC().setPythonContext(self._blocks)
+        ksp.setPostSolve(self._after)
+        self._direct: PETSc.KSP | None = None
+        self._failure: str | None = None
+
+    def _mumps_defaults(self) -> dict[str, Option]:
+        """The blocks are scaled already (8: 0); minimum fill is the quickest analysis of plane problems (7: 2). 33: 1 gives
+        the determinant, whose sign tells stable equilibria from unstable ones. 14: spare workspace, in %."""
+        said: dict[str, Option] = {"mat_mumps_icntl_8": 0, "mat_mumps_icntl_33": 1}
+        said["mat_mumps_icntl_14"] = self._workspace
+        return said | ({"mat_mumps_icntl_7": 2} if self.problem.gdim == 2 else {})
+
+    def _is_ours(self, name: str) -> bool:
+        return self._prefix + name in self._defaulted
+
+    def _default(self, part: str, values: dict[str, Option]) -> None:
+        """Set options that the user has not set."""
+        options = PETSc.Options(self._prefix)
+        for name, value in values.items():
+            if not options.hasName(part + name) or self._is_ours(part + name):
+                options[part + name] = value
+                self._defaulted.add(self._prefix + part + name)
+
+    def unsuitable(self) -> str:
+        """What the options ask for that PETSc cannot do."""
+        pc = self._ksp.getPC()
+        asked = f"ksp_type {self._ksp.getType()}, pc_type {pc.getType()}"
+        if pc.getType() == "lu":
+            asked += f", pc_factor_mat_solver_type {pc.getFactorSolverType()}"
+        return (
+            f"options of the prefix {self._prefix}: {asked} is not known, or does not take a matrix of blocks (MATNEST); "
+            "MUMPS does, with or without a Krylov method around it"
+        )
+
+    # ---------------------------------------------------------------- solves
+
+    def begin(self) -> None:
+        """A new Newton solve: FGMRES is tried again, where it had failed."""
+        if self.iterative and self._failure is not None:
+            self._failure, self._blocks.idle = None, False
+            self._ksp.setTolerances(max_it=MOST)
+
+    def _after(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """After FGMRES: where it has failed MUMPS takes over, for the rest of the Newton solve."""
+        self.iterations, self.solves = self.iterations + ksp.getIterationNumber(), self.solves + 1
+        if ksp.getConvergedReason() >= 0:
+            return
+        if self._failure is None:
+            self.failures += 1
+            self._failure = (
+                f"FGMRES failed (PETSc's reason {ksp.getConvergedReason()}, {ksp.getIterationNumber()} iterations)"
+            )
+            if self.problem.comm.rank == 0:
+                log.warning("%s: MUMPS takes over for the rest of this Newton solve", self._failure)
+            self._blocks.idle = True
+            ksp.setTolerances(max_it=0)
+        direct = self._factorised()
+        direct.setOperators(*ksp.getOperators())
+        try:
+            direct.solve(b, x)
+        except PETSc.Error as error:
+            if error.ierr != EXTERNAL:
+                raise
+            return
+        if direct.getConvergedReason() > 0:
+            ksp.setConvergedReason(_Reason.CONVERGED_ITS)
+
+    def _factorised(self) -> PETSc.KSP:
+        """MUMPS, which may take as much memory as is free."""
+        if self._direct is None:
+            self._default("direct_", self._mumps_defaults())
+            self._default("direct_", {"mat_mumps_icntl_23": int(SHARE * _free_memory(self.problem.comm))})
+            self._direct = PETSc.KSP().create(self.problem.comm)
+            self._direct.setOptionsPrefix(self._prefix + "direct_")
+            _factorise(self._direct)
+            self._direct.setFromOptions()
+        return self._direct
+
+    def excuse(self) -> str | None:
+        """Why a linear solve failed, if it was not for a singular matrix; PETSc's object is of no use after it, and a new one
+        has more workspace if that was what was missing."""
+        ksp, begun = (self._direct, f"{self._failure}; ") if self.iterative else (self._ksp, "")
+        if ksp is None or ksp.getPC().getType() != "lu" or ksp.getPC().getFactorSolverType() != "mumps":
+            return f"{begun}the linear solve failed" if self.iterative else None
+        said = ksp.getPC().getFactorMatrix().getMumpsInfog(1)
+        if said in TOO_LITTLE_WORKSPACE:
+            self._workspace *= 4
+            return f"{begun}MUMPS ran out of workspace; it has {self._workspace} % more from now on"
+        if said in TOO_LARGE:
+            return f"{begun}MUMPS' factors do not fit into the memory that is free"
+        return None
+
+    def sign(self) -> float | None:
+        """Of the Jacobian's determinant, as MUMPS has it: positive at a stable equilibrium. None where it is not known."""
+        pc = self._ksp.getPC()
+        if pc.getType() != "lu" or pc.getFactorSolverType() != "mumps":
+            return None
+        return float(np.sign(pc.getFactorMatrix().getMumpsRinfog(12)))
+
+    # ---------------------------------------------------------------- the same matrix with another state of contact
+
+    def apply(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """x ← the inverse, or FGMRES' approximation of it, of the bodies' last Jacobian times b."""
+        if not self.iterative:
+            self._ksp.getPC().getFactorMatrix().solve(b, x)
+        elif self._failure is None:
+            self._blocks.apply(self._ksp.getPC(), b, x)
+        else:
+            self._factorised().getPC().getFactorMatrix().solve(b, x)
+
+    def renew_contact(self) -> None:
+        """Contact's share of the problem's matrix has changed: bring up to date what costs little."""
+        if self.iterative and self._failure is None:
+            self._blocks.renew_surface()
+
+    def affordable_solves(self) -> int:
+        """How many times :meth:`apply` costs as much as COSTS factorisations."""
+        pc = (self._factorised() if self.iterative and self._failure is not None else self._ksp).getPC()
+        if pc.getType() != "lu" or pc.getFactorSolverType() != "mumps":
+            return SOLVES
+        factors = pc.getFactorMatrix()
+        entries = factors.getMumpsInfog(29)  # in millions, if negative
+        return int(COSTS / SLOWER * factors.getMumpsRinfog(3) / (2 * (entries if entries > 0 else -1e6 * entries)))
+
+    # ---------------------------------------------------------------- what it says
+
+    def log(self) -> None:
+        """Tell the log which solver it is."""
+        if self.problem.comm.rank == 0:
+            log.info("%d displacement unknowns, linear solver %s", self.problem.bodies.layout.sizes[1], self)
+
+    def __str__(self) -> str:
+        """In words, for log and summary."""
+        pc = self._ksp.getPC()
+        if self.iterative:
+            said = f"iterative: {self._ksp.getType()} to {self._ksp.getTolerances()[0]:g}, multigrid in the bodies"
+            return f"{said}; {self.iterations} iterations in {self.solves} solves, {self.failures} of which failed"
+        by = f"{pc.getType()} by {pc.getFactorSolverType()}" if pc.getType() == "lu" else pc.getType()
+        return f"direct: {by}" if self._ksp.getType() == "preonly" else f"{self._ksp.getType()} with {by}"
+
+
+def _factorise(ksp: PETSc.KSP) -> None:
+    ksp.setType("preonly")
+    ksp.getPC().setType("lu")
+    ksp.getPC().setFactorSolverType("mumps")
+
+
+def _free_memory(comm: MPI.Intracomm) -> float:
+    """MB that each rank may take of what its machine has free, the least over the ranks (collective)."""
+    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        free = next(float(line.split()[1]) / 1024 for line in lines if line.startswith("MemAvailable"))
+    except (OSError, StopIteration):  # no Linux
+        free = 1e6
+    least = comm.allreduce(free / node.size, MPI.MIN)
+    node.Free()
+    return float(least)
+
+
+def _read_command_line(prefix: str) -> None:
+    """Hand PETSc this prefix's options from the command line: DOLFINx starts PETSc without it."""
+    mine = []
+    for word, following in zip(sys.argv[1:], [*sys.argv[2:], "-"], strict=False):
+        if word.startswith(f"-{prefix}"):
+            is_value = not following.startswith("-") or following.lstrip("-")[:1].isdigit()
+            mine += [word, following] if is_value else [word]
+    PETSc.Options().insertString(" ".join(mine))

@@ -1,0 +1,138 @@
+"""The iterative solver: the answers of the direct one in every state of contact, and what happens where it fails."""
+
+import logging
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from petsc4py import PETSc
+from scenes import beams, blocks, rough, tip
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+import scaling
+
+from dolfinx_mortar_al import NewtonSolver, linear_solver, quasistatic
+from dolfinx_mortar_al.p_multigrid import FirstOrder
+
+
+def solver(problem, kind, **options):
+    """A solver of that kind, to 1e-12 of the forces; each call has options of its own."""
+    solver.calls = getattr(solver, "calls", 0) + 1
+    prefix = f"trial{solver.calls}_"
+    for name, value in {"linear_solver": kind, **options}.items():
+        PETSc.Options(prefix)[name] = value
+    return NewtonSolver(problem, rtol=1e-12, prefix=prefix)
+
+
+def agree(one, other):
+    """Displacements of two problems on the same mesh, to 1e-8 of the largest, and the states of contact."""
+    scale = one.comm.allreduce(float(np.abs(one.bodies.get()).max(initial=0.0)), max)
+    assert np.allclose(one.bodies.get(), other.bodies.get(), rtol=0.0, atol=1e-8 * scale)
+    for mine, theirs in zip(one.pairs, other.pairs, strict=True):
+        assert mine.closed_fraction() == pytest.approx(theirs.closed_fraction(), abs=1e-12)
+        assert np.allclose(mine.force(), theirs.force(), rtol=1e-8, atol=1e-8 * np.abs(theirs.force()).max())
+
+
+@pytest.mark.parametrize("order, tetrahedra, friction", [(1, False, 0.3), (1, True, 0.0), (2, False, 0.3)])
+def test_pressed_and_dragged_as_with_factors(order, tetrahedra, friction):
+    """Open, partly closed, sticking and slipping, all in one scene; FGMRES needs at most 35 iterations to 1e-8."""
+    row = scaling.Row(400 if order == 1 else 700, order=order, tetrahedra=tetrahedra, friction=friction)
+    marches = {}
+    for kind in ("direct", "iterative"):
+        problem, top = scaling.build(row)
+        newton = solver(problem, kind, **({"ksp_rtol": 1e-8} if kind == "iterative" else {}))
+        states = []
+        for doing, _ in scaling.press_and_drag(problem, top, newton):
+            states.append((doing, problem.pairs[0].closed_fraction(), problem.pairs[0].stick_fraction()))
+        marches[kind] = problem, states, newton.linear
+    (direct, states, _), (iterative, same, linear) = marches["direct"], marches["iterative"]
+    agree(iterative, direct)
+    assert np.allclose([s[1:] for s in same], [s[1:] for s in states], atol=1e-9)
+    assert any(0.0 < closed < 1.0 for _, closed, _ in states)
+    if friction:
+        assert any(stick > 0.05 for _, _, stick in states) and any(closed - stick > 0.05 for _, closed, stick in states)
+    assert linear.iterative and linear.failures == 0
+    assert linear.iterations / linear.solves < 35
+
+
+def test_open_contact_and_several_pairs():
+    """Beams apart; then in contact by three pairs, whose multipliers are one block for the preconditioner."""
+    mesh = {"dim": 3, "along": (6, 6), "across": 1}
+    for gap, load in ((0.05, 0.05), (0.0, 2.0)):
+        problems = []
+        for kind in ("direct", "iterative"):
+            problem, P = beams(order=1, friction=0.3, mesh=mesh | {"gap": gap}, parts=3)
+            for _ in quasistatic.march(problem, P, to=load, increments=1, solver=solver(problem, kind)):
+                pass
+            problems.append(problem)
+        agree(*problems)
+        closed = [pair.closed_fraction() for pair in problems[0].pairs]
+        assert max(closed) == 0.0 if gap else max(closed) > 0.0
+
+
+def test_a_block_that_contact_alone_holds():
+    problems = []
+    for kind in ("direct", "iterative"):
+        problem, p = blocks(order=1, dim=3, cells=(3, 4), friction=0.5)
+        list(quasistatic.march(problem, p, to=2e4, increments=1, solver=solver(problem, kind)))
+        problems.append(problem)
+    agree(*problems)
+
+
+def test_mumps_takes_over_where_fgmres_fails(caplog):
+    answers = []
+    for kind, options in (("direct", {}), ("iterative", {"ksp_max_it": 1})):
+        problem, P = beams(order=1, friction=0.3, mesh={"along": (8, 8), "across": 1})
+        newton = solver(problem, kind, **options)
+        with caplog.at_level(logging.WARNING, "dolfinx_mortar_al.linear_solver"):
+            list(quasistatic.march(problem, P, to=2.0, increments=1, solver=newton))
+        answers.append(tip(problem))
+    assert np.allclose(*answers, rtol=1e-8)
+    assert newton.linear.failures > 0
+    if problem.comm.rank == 0:
+        assert "MUMPS takes over" in caplog.text
+    assert "failed" in str(newton.linear)
+
+
+def test_no_memory_for_factors_is_said():
+    """MUMPS may take 1 MB here and needs more: the trial fails, on all ranks."""
+    problem, P = beams(order=2, friction=0.3, mesh={"along": (60, 60), "across": 4})
+    P.value = 1.0
+    result = solver(problem, "iterative", ksp_max_it=1, direct_mat_mumps_icntl_23=1).solve()
+    assert not result.converged
+    assert "FGMRES failed" in result.message and "do not fit into the memory" in result.message
+
+
+def test_the_choice(monkeypatch):
+    """By unknowns of bodies in space alone: in the plane fill is no matter."""
+    for dim, iterates in ((2, False), (3, True)):
+        problem, _ = beams(order=1, mesh={"dim": dim, "along": (4, 4), "across": 1})
+        assert not NewtonSolver(problem, prefix="choice_").linear.iterative
+        monkeypatch.setattr(linear_solver, "ITERATIVE_ABOVE", 10)
+        assert NewtonSolver(problem, prefix="choice_").linear.iterative == iterates
+        assert str(problem.linear_solver).startswith("iterative" if iterates else "direct: lu by mumps")
+        monkeypatch.undo()
+    PETSc.Options()["wrong_linear_solver"] = "quick"
+    with pytest.raises(ValueError, match="wrong_linear_solver quick: must be direct, iterative or auto"):
+        NewtonSolver(problem, prefix="wrong_")
+
+
+def test_order_one_below_order_two():
+    """Linear displacements are interpolated exactly, but for prescribed nodes, which stand for themselves."""
+    problem, _ = beams(order=2, mesh={"dim": 3, "along": (3, 4), "across": 1})
+    first = FirstOrder(problem.bodies)
+    problem.u.interpolate(lambda x: 0.1 * x[:3] + 0.05 * x[[1, 2, 0]])
+    fine = problem.bodies.layout.vector()
+    first.interpolation.mult(first.positions(), fine)
+    exact = (problem.bodies.owned_positions() + problem.bodies.get().reshape(-1, 3)).ravel()
+    owned = problem.bodies.bodies[0].owned * 3
+    free = problem.bodies.bodies[0].prescribed().x.array[:owned] == 0
+    near = np.abs(problem.bodies.owned_positions()[:, 0] - problem.bodies.owned_positions()[:, 0].min()) > 0.4
+    inside = free & np.repeat(near, 3)
+    assert np.allclose(fine.array_r[inside], exact[inside], atol=1e-12)
+    problem.u.interpolate(lambda x: rough(1e-3, 1)(x[:3].T).T)
+    problem.assemble_residual(problem.x, problem.residual)
+    problem.assemble_jacobian()
+    product = problem.blocks[0][0].ptap(first.interpolation).getDiagonal()
+    assert product.min()[1] > 0
