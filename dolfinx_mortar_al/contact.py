@@ -521,8 +521,10 @@ class ContactPair(PairResults):
         return Finding(f"{self.name}: points passed through", float(len(X)), X[0], PASSED, True) if X else None
 
     def commit(self) -> None:
-        """The step has converged: it becomes the origin of the next one's slip."""
-        self.kinematics.commit()
+        """The step has converged: it becomes the origin of the next one's slip, but for what multipliers of the nodes do not
+        see of it, which acts on at each point by ε_T: forgotten in each step, it would let stuck points creep."""
+        law = self.law
+        self.kinematics.commit(law.unspent(self.state, self.kinematics.at) if isinstance(law, Coulomb) else None)
         self._remember()
         self.active.guessed = False
 

@@ -166,17 +166,20 @@ class Kinematics(ABC):
         else:
             self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros_like(points.η))
 
-    def commit(self) -> None:
-        """The step has converged: Y_{n−1} ← Y."""
+    def commit(self, unspent: Array | None = None) -> None:
+        """The step has converged: Y_{n−1} ← Y, from which the slip (n, gdim) that is `unspent` (m) goes on."""
         point = self.faced.point.copy()
         lost = np.flatnonzero(~self.faced.facing)
         if self.friction and len(lost):  # the slip of what comes back is counted from the nearest point
             near = self.target.closest(self.x[lost]).point
             point.facet[lost], point.η[lost] = near.facet, near.η
-        self.set_history(point, self.apart(point, self.faced.facing, self.x, self.target.nodes))
+        self.set_history(point, self.apart(point, self.faced.facing, self.x, self.target.nodes, unspent))
 
-    def apart(self, point: TargetPoint, facing: Bool, x: Array, nodes: Array) -> Array | None:
-        """(n, gdim) ρ of points at 𝐱 (n, gdim) that take Y = `point` for their history, the target's nodes at `nodes` (m)."""
+    def apart(
+        self, point: TargetPoint, facing: Bool, x: Array, nodes: Array, unspent: Array | None = None
+    ) -> Array | None:
+        """(n, gdim) ρ of points at 𝐱 (n, gdim) that take Y = `point` for their history, the target's nodes at `nodes` (m),
+        with a slip `unspent`."""
         return None
 
     def set_history(self, point: TargetPoint, ρ: Array | None = None) -> None:
@@ -217,22 +220,25 @@ class PositionLevel(Kinematics):
     def slip(self) -> Array:
         """s = V_T Δt, eq. (5): (n, gdim) in m, of which only the tangential part counts. 𝐲 − φ₂(Y_{n−1}, t) with the closest
         point; with rays 𝐱 − φ₂(Y_{n−1}, t) less the mean of 𝐱 − φ₂(Y_{n−1}) of step n − 1 as the target's and as the
-        contactor's facet have carried it. The latter is along ν and left out."""
+        contactor's facet have carried it. The latter is along ν and left out. What is `unspent` is slip from the start."""
         if not self.carries:
             return (self.x if self.target.uses_rays else self.at.y) - self.positions_of_history()
         self._frame = self.target.tangents(self.history, self.slopes)
-        return self.x - self.positions_of_history() - SHARE * carried(self._frame, self.ρ)
+        return self.x - self.positions_of_history() - carried(self._frame, self.ρ)
 
     @property
     def carries(self) -> bool:
         return self.friction and self.target.uses_rays
 
-    def apart(self, point: TargetPoint, facing: Bool, x: Array, nodes: Array) -> Array | None:
+    def apart(
+        self, point: TargetPoint, facing: Bool, x: Array, nodes: Array, unspent: Array | None = None
+    ) -> Array | None:
         """Zero at points that faced nothing: those that come from beyond the target's end slip from that end on."""
         if not self.carries:
             return None
         r = x - combine(self.target.weights(point), nodes[self.target.facets[point.facet]])
-        ρ = components(self.target.tangents(point, self.target.derivatives(point), nodes), r)
+        apart = SHARE * r if unspent is None else SHARE * r - unspent
+        ρ = components(self.target.tangents(point, self.target.derivatives(point), nodes), apart)
         return np.where(facing[:, None], ρ, 0.0)
 
     def slots(self, multiplier: int) -> Slots:
@@ -255,7 +261,7 @@ class PositionLevel(Kinematics):
         δ = vary(at, slots)
         if self.carries:
             assert δ.s is not None
-            δ.s = δ.s - SHARE * vary_carried(self._frame[act], self.ρ[act], slots, "w_p")
+            δ.s = δ.s - vary_carried(self._frame[act], self.ρ[act], slots, "w_p")
         δt, δr = law.linearise(state, Λ, at, None if self.s is None else self.s[act], δ)
         moving = state.t[:, None, :, None] * δ.η[:, :, None, :]
         return np.concatenate([np.stack([-δt, δt], axis=1), moving], axis=1), δr

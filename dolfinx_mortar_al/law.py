@@ -154,6 +154,13 @@ class Coulomb:
         r = ν * ((λN - p) / self.ε.normal)[:, None] - (λT - f) / self.ε.tangential
         return LawState(status, λN_hat, p, p[:, None] * ν - f, r, λT_hat, bound, slope)
 
+    def unspent(self, state: LawState, at: Projection) -> Array:
+        """(n, gdim) the slip (f_T − λ_T)/ε_T that has not become sliding: with it a point's friction is the same again in a
+        step in which nothing moves. It is the tangential part of r, whose mean with each multiplier's shape function is
+        zero; open points have none."""
+        r = state.r - at.ν * _dot(at.ν, state.r)[:, None]
+        return np.where((state.status == OPEN)[:, None], 0.0, r)
+
     def linearise(
         self, state: LawState, Λ: Array, at: Projection, s: Array | None, δ: Variation
     ) -> tuple[Array, Array]:
