@@ -73,9 +73,9 @@ class Blocks:
 
     # ---------------------------------------------------------------- residual, eq. (4)
 
-    def multiplier_residual(self, state: LawState) -> tuple[Index, Array]:
+    def multiplier_residual(self, state: LawState, kinematics: Kinematics) -> tuple[Index, Array]:
         """∫ r·N1 Λ* dS₀: global blocks (nf, nodes) and element vectors (nf, nodes, components)."""
-        values = self.NΛ * (self.points.j[:, None] * state.r)[:, None, :]
+        values = self.NΛ * ((self.points.j * kinematics.weight)[:, None] * state.r)[:, None, :]
         return self.multiplier.blocks, self.points.sum_by_facet(values)
 
     def body_residual(self, state: LawState, kinematics: Kinematics) -> list[tuple[Index, Array]]:
@@ -105,7 +105,8 @@ class Blocks:
         rows, columns = kinematics.rows(act), kinematics.columns(act)
 
         n, d, m = len(act), self.gdim, self.multiplier.components
-        NΛ, δr = self.NΛ[act], δr * j[:, None, None]
+        weight = self.points.j * kinematics.weight
+        NΛ, δr = self.NΛ[act], δr * weight[act][:, None, None]
         z = d * len(slots.names)
 
         R, k, K = rows.shape[1], rows.shape[2], columns.shape[2]
@@ -116,7 +117,7 @@ class Blocks:
         r_U = apply_columns(δr[..., :z], columns, d)  # (n, m, nodes, d)
         ΛU = NΛ[:, :, :, None, None] * r_U[:, None]
 
-        ΛΛ_point = np.broadcast_to(np.eye(m) / law.ε.normal, (self.points.size, m, m)) * self.points.j[:, None, None]
+        ΛΛ_point = np.broadcast_to(np.eye(m) / law.ε.normal, (self.points.size, m, m)) * weight[:, None, None]
         ΛΛ_point[act] = δr[..., z:]
         ΛΛ = self.points.sum_by_facet(
             self.NΛ[:, :, :, None, None] * ΛΛ_point[:, None, :, None, :] * self.NΛ[:, None, None]

@@ -505,7 +505,7 @@ class ContactPair(PairResults):
 
     def multiplier_residual(self) -> tuple[Index, Array]:
         """∫ r·N1 Λ* dS₀, eq. (4), as :meth:`Blocks.multiplier_residual`."""
-        return self.blocks.multiplier_residual(self.state)
+        return self.blocks.multiplier_residual(self.state, self.kinematics)
 
     def body_residual(self) -> list[tuple[Index, Array]]:
         """−∫ t·(N1 U1* − N2(η) U2*) dS₀, eq. (4), as :meth:`Blocks.body_residual`."""

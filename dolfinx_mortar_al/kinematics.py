@@ -30,6 +30,11 @@ Bool = NDArray[np.bool_]
 # other have no slip (docs/theory.md).
 SHARE = 0.5
 
+# Weight of points that face no target in the multiplier's equation, λ = 0 there. Where nothing else determines a multiplier
+# any weight does. Where the target ends inside a support, its covered share s determines it with a weight of s³ (∫ N² of a
+# linear N): from a fifth on it counts as it should (docs/integration.md).
+AWAY = 5e-3
+
 
 @dataclass
 class Forces:
@@ -98,6 +103,11 @@ class Kinematics(ABC):
     def follow(self) -> bool:
         """At the start of an iteration: choose anew what is held in between; whether anything changed."""
         return False
+
+    @property
+    def weight(self) -> Array:
+        """(n,) what the points count for in the multiplier's equation."""
+        return np.ones(self.points.size)
 
     # ---------------------------------------------------------------- forces, and their derivative
 
@@ -207,6 +217,10 @@ class PositionLevel(Kinematics):
         self.x, self.at = now.x, self.target.project(now)
         self.may_close = self.at.facing
         self.s = self.slip() if self.friction else None
+
+    @property
+    def weight(self) -> Array:
+        return np.where(self.at.facing, 1.0, AWAY)
 
     def slip(self) -> Array:
         """s = V_T Δt, eq. (5): (n, gdim) in m, of which only the tangential part counts. 𝐲 − φ₂(Y_{n−1}, t) with the closest
