@@ -9,9 +9,9 @@ stiffness (the worse of upper to lower 1e-3 and 1e3; ν = 0, or the softer would
 
 Then a curved interface: two nested shells of radii 0.8, 1 and 1.2 m, a part of a sphere or a cylinder, elements and geometry
 of order 2, linear elasticity. The same pressure acts on all of their boundary, so that both contract alike, by
-𝐮 = −(1 − 2ν) p/E 𝐱, and the stress is −p everywhere: in the finite-element space, so that the bulk does not err. What errs
-are two surfaces that do not fit, as the facets of each pass through its own nodes, and the integration. `--curved` runs
-this only.
+𝐮 = −(1 − 2ν) p/E 𝐱, and the stress is −p everywhere: in the finite-element space, so that the bulk does not err. What
+errs are two surfaces that do not fit, as the facets of each pass through its own nodes, and the integration. `--curved` runs
+this part only.
 """
 
 from __future__ import annotations

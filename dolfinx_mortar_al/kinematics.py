@@ -30,6 +30,11 @@ Bool = NDArray[np.bool_]
 # other have no slip (docs/theory.md).
 SHARE = 0.5
 
+# Weight of points that face no target in the multiplier's equation, λ = 0 there. Where nothing else determines a multiplier
+# any weight does. Where the target ends inside a support, its covered share s determines it with a weight of s³ (∫ N² of a
+# linear N): from a fifth on it counts as it should (docs/integration.md).
+AWAY = 5e-3
+
 
 @dataclass
 class Forces:
@@ -104,6 +109,11 @@ class Kinematics(ABC):
         """(n, gdim) the multiplier's normal direction at the points, where it is held while an iteration goes on; None where
         it turns with the unknowns."""
         return None
+
+    @property
+    def weight(self) -> Array:
+        """(n,) what the points count for in the multiplier's equation."""
+        return np.ones(self.points.size)
 
     # ---------------------------------------------------------------- forces, and their derivative
 
@@ -216,6 +226,10 @@ class PositionLevel(Kinematics):
         self.x, self.at = now.x, self.target.project(now)
         self.may_close = self.at.facing & self.target.admits(now.facet, self.at.point)
         self.s = self.slip() if self.friction else None
+
+    @property
+    def weight(self) -> Array:
+        return np.where(self.at.facing, 1.0, AWAY)
 
     def slip(self) -> Array:
         """s = V_T Δt, eq. (5): (n, gdim) in m, of which only the tangential part counts. 𝐲 − φ₂(Y_{n−1}, t) with the closest
