@@ -156,9 +156,9 @@ LENGTH, HEIGHT = 1.0, 0.05
 
 
 def coil(whole, n=24):
-    """A strip clamped at one end, the other turned by 2.3 π and pressed onto the strip's start: (problem, motion of the end by
-    a parameter, to 1 while it turns, to 2 while it presses). In contact are its faces, with themselves, or, if not `whole`, the
-    last part of the lower face with the first of the upper one."""
+    """A strip clamped at one end, the other turned by 2.3 π and pressed onto its start: (problem, motion of the end by
+    a parameter, to 1 while it turns, to 2 while it presses). In contact are its faces, with themselves, or, if not `whole`,
+    the last part of the lower face with the first of the upper one."""
     domain = mesh.create_rectangle(MPI.COMM_WORLD, [[0, 0], [LENGTH, HEIGHT]], [n, 2], mesh.CellType.quadrilateral)
     domain.topology.create_connectivity(1, 2)
     boundary = mesh.exterior_facet_indices(domain.topology)
