@@ -515,8 +515,8 @@ class ContactPair(PairResults):
         now, (contactor, before) = self.kinematics.contactor(), self._converged
         free = np.flatnonzero(self.state.status == OPEN)
         x0 = self.integration.interpolate(contactor)[free]
-        surface, depth, normal = self.target.surface, DEPTH * self.target.size, now.normal[free]
-        passed = passed_through(surface, before, self.target.nodes, x0, now.x[free], depth, normal)
+        surface, depth, counts = self.target.surface, DEPTH * self.target.size, self.target.crossable(now, free)
+        passed = passed_through(surface, before, self.target.nodes, x0, now.x[free], depth, counts)
         X = [tuple(x) for part in self.comm.allgather(self.points()[free[passed]].tolist()) for x in part]
         return Finding(f"{self.name}: points passed through", float(len(X)), X[0], PASSED, True) if X else None
 

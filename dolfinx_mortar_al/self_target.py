@@ -8,6 +8,8 @@ thickness of the body there, as it is now.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from dolfinx import mesh
 from mpi4py import MPI
@@ -68,6 +70,18 @@ class SelfTarget(DeformableTarget):
 
     def admits(self, facet: Index, at: TargetPoint) -> Bool:
         return precedes(self.role, self.own[facet], at.facet)
+
+    def crossable(self, points: ContactorPoints, which: Index) -> Callable[[Index, Index], Bool]:
+        """Facets that a point is contactor of and that oppose its normal: a surface does not pass through itself nearby."""
+        middle = self.surface.shape.tabulate(self.surface.shape.corners.mean(axis=0)[None], 1)[1][0]
+        m = surface_normal(middle @ self.nodes[self.facets]) * self.surface.orientation[:, None]
+        own, normal = self.own[points.facet[which]], points.normal[which]
+
+        def counts(point: Index, facet: Index) -> Bool:
+            result: Bool = precedes(self.role, own[point], facet) & (dot(m[facet], normal[point]) < 0)
+            return result
+
+        return counts
 
     def divide(self, facet: Index, at: Projection, closed: Bool, comm: MPI.Intracomm) -> bool:
         """Give the facets their roles for what the points on `facet` (n,) face now; couples with `closed` points keep theirs.

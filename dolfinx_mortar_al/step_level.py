@@ -204,10 +204,8 @@ class StepLevel(Kinematics):
             places = self._place0, self.target.place
             before, after = (place for place in places if isinstance(place, np.ndarray))
             depth = DEPTH * self.target.size
-            normal = self._now.normal[free] if self.target.is_contactor else None
-            passed[free] = passed_through(
-                self.target.surface, before, after, self._x0[free], self.x[free], depth, normal
-            )
+            x0, counts = self._x0[free], self.target.crossable(self._now, free)
+            passed[free] = passed_through(self.target.surface, before, after, x0, self.x[free], depth, counts)
         return passed
 
     # ---------------------------------------------------------------- forces

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,7 @@ from dolfinx_mortar_al.surface import GatheredFacets, surface_normal
 __all__ = ["DEPTH", "passed_through"]
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
 DEPTH = 0.05  # of a facet, behind which an open point that came through its front has not been seen by contact
@@ -24,12 +27,12 @@ def passed_through(
     x0: Array,
     x1: Array,
     depth: float,
-    normal: Array | None = None,
+    counts: Callable[[Index, Index], Bool] | None = None,
 ) -> Bool:
     """(n,) points that went from 𝐱₀ to 𝐱₁ (n, gdim) through the front of a target facet and ended farther behind its plane
     than `depth` (m); `before`, `after` (nodes, gdim) are the positions of the target's nodes. Facets count as flat, between
-    their corners, and motions as straight. With the points' outward normals (n, gdim) only facets that oppose them count: a
-    surface does not pass through its own neighbourhood."""
+    their corners, and motions as straight. `counts` says of points (m,) and facets (m,) which couples are looked at, all by
+    default."""
     passed = np.zeros(len(x0), dtype=bool)
     if not len(x0):
         return passed
@@ -46,9 +49,10 @@ def passed_through(
         meets = (np.minimum(a, b)[:, None] <= high[facets]) & (np.maximum(a, b)[:, None] >= low[facets])
         point, k = np.nonzero(meets.all(axis=2))
         facet = facets[k]
+        if counts is not None:
+            real = counts(start + point, facet)
+            point, facet = point[real], facet[real]
         crossed = _crossed(c0[facet], c1[facet], a[point], b[point], target.orientation[facet], depth)
-        if normal is not None:
-            crossed &= dot(_normal(c1[facet], target.orientation[facet]), normal[start + point]) < 0
         passed[start + point[crossed]] = True
     return passed
 
@@ -70,13 +74,8 @@ def _crossed(c0: Array, c1: Array, x0: Array, x1: Array, orientation: Array, dep
 
 def _height(c: Array, x: Array, orientation: Array) -> Array:
     """(m,) distance of 𝐱 in front of its facet's plane (m)."""
-    return dot(_normal(c, orientation), x - c[:, 0])
-
-
-def _normal(c: Array, orientation: Array) -> Array:
-    """(m, gdim) outward unit normal of each facet's plane."""
     m = surface_normal(c[:, 1 : c.shape[2]] - c[:, :1]) * orientation[:, None]
-    return np.asarray(m / np.linalg.norm(m, axis=1, keepdims=True))
+    return dot(m, x - c[:, 0]) / np.linalg.norm(m, axis=1)
 
 
 def _inside(c: Array, x: Array) -> Bool:

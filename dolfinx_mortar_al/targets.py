@@ -7,7 +7,7 @@ rigid obstacle has no nodes, so that every array over target nodes is empty; it 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -200,6 +200,10 @@ class DeformableTarget(Target):
 
     def closest(self, x: Array) -> ClosestPoint:
         return project(self.surface, self._nodes, x, CandidateSearch(self.surface)(x, self._nodes))
+
+    def crossable(self, points: ContactorPoints, which: Index) -> Callable[[Index, Index], NDArray[np.bool_]] | None:
+        """Whether points out of `which` (m,) must not pass through facets: a function of both; None if none may."""
+        return None
 
     def at_reference(self, X: Array) -> ClosestPoint:
         """The closest-point map of reference points onto the reference target."""
