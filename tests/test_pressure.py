@@ -45,6 +45,6 @@ def test_equal_orders_oscillate_where_the_contactor_is_the_stiffer_side():
 @pytest.mark.parametrize("block_is_contactor", [False, True], ids=["cylinder", "block"])
 @pytest.mark.parametrize("ratio", [1e-3, 1.0, 1e3])
 def test_pressures_are_those_of_hertz(ratio, block_is_contactor):
-    """Point by point within 3 % inside 70 % of the half width, ten facets of order 2 long (seen: 0.8 to 2.4 %; Hertz' solution
+    """Within 3 % at points inside 70 % of the half width, ten facets of order 2 long (seen: 0.8 to 2.4 %; Hertz' solution
     is right to 0.2 %), whichever side is contactor or stiff."""
     assert hertz_pressure.difference(ratio, 10, 2, block_is_contactor, "gauss") < 0.03
