@@ -16,6 +16,7 @@ from math import pi
 from pathlib import Path
 
 import numpy as np
+from mpi4py import MPI
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from dolfinx_mortar_al.verify.hertz import RADIUS, Cylinders, effective, press
@@ -37,7 +38,8 @@ def difference(ratio: float, cells: int, order: int, block_is_contactor: bool, i
     pair = problem.pairs[0]
     ξ = pair.points()[:, 0] / a
     inside = np.abs(ξ) < INNER
-    return float(np.abs(pair.state.p[inside] / (hertz.peak * np.sqrt(1 - ξ[inside] ** 2)) - 1).max())
+    wrong = np.abs(pair.state.p[inside] / (hertz.peak * np.sqrt(1 - ξ[inside] ** 2)) - 1)
+    return float(problem.comm.allreduce(wrong.max(initial=0.0), MPI.MAX))
 
 
 def main() -> None:

@@ -54,7 +54,8 @@ class Contact:
     """Two surfaces that may touch, or one that may touch itself.
 
     Args:
-        contactor: carries the multiplier and the integration points; better the finer side.
+        contactor: carries the multiplier and the integration points; better the softer side, of equally stiff ones the
+            finer. Pressures of one that is stiffer and finer oscillate (docs/robustness.md).
         target: the surface that contactor points are projected onto, or a rigid obstacle. Left out, the contactor is its own
             target (``docs/self_contact.md``).
         friction: Coulomb's coefficient μ ≥ 0; the number 0 builds the problem with a scalar multiplier and no slip history.

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+import hertz_pressure
 import ironing
 
 INNER = 0.7  # of the zone's half width: further out the pressure falls to zero as a root, and points open
@@ -39,3 +40,11 @@ def test_pressures_do_not_oscillate(ratio, slab_is_contactor):
 
 def test_equal_orders_oscillate_where_the_contactor_is_the_stiffer_side():
     assert roughness(1e2, False, multiplier_order=2) > 0.1
+
+
+@pytest.mark.parametrize("block_is_contactor", [False, True], ids=["cylinder", "block"])
+@pytest.mark.parametrize("ratio", [1e-3, 1.0, 1e3])
+def test_pressures_are_those_of_hertz(ratio, block_is_contactor):
+    """Within 3 % at points inside 70 % of the half width, ten facets of order 2 long (seen: 0.8 to 2.4 %; Hertz' solution
+    is right to 0.2 %), whichever side is contactor or stiff."""
+    assert hertz_pressure.difference(ratio, 10, 2, block_is_contactor, "gauss") < 0.03
