@@ -149,7 +149,7 @@ class Blocks:
         r_U = apply_columns(δr[..., :z], columns, d)  # (n, m, nodes, d)
         ΛU = (np.swapaxes(tests[act], 1, 2) @ r_U.reshape(n, m, K * d)).reshape(n, nodes, m, K, d)
 
-        ΛΛ_point = np.broadcast_to(np.eye(m) / law.ε.normal, (self.points.size, m, m)) * weight[:, None, None]
+        ΛΛ_point = law.open_slope(kinematics.at.ν) * weight[:, None, None]
         ΛΛ_point[act] = δr[..., z:]
         ΛΛ = self.points.sum_by_facet(np.swapaxes(tests, 1, 2) @ ΛΛ_point @ self.NΛ)
 

@@ -47,6 +47,7 @@ Decisions = tuple[IntegrationPoints, tuple[Bool, Index, bool]]
 PASSED = "the step has carried one part of the surface through another; take smaller steps"
 SOFTER = 0.12  # ε over what the bulk yields to pressure at the surface (docs/newton.md)
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
+FIRMEST = 10.0  # the same for ε_N in time steps: partly closed facets overlap by p/ε_N
 
 
 @dataclass(frozen=True)
@@ -298,11 +299,12 @@ class ContactPair(PairResults):
                 )
         return min(sides.values())
 
-    def set_law(self, stiffness: float, share: float = SOFTER) -> None:
-        """Fix ε_N and ε_T: the user's, or a `share` of the bulk's `stiffness` at the two surfaces (Pa/m)."""
+    def set_law(self, stiffness: float, share: float = SOFTER, normal: float = SOFTER) -> None:
+        """Fix ε_N and ε_T: the user's, or shares, that for ε_N called `normal`, of the bulk's `stiffness` at the two surfaces
+        (Pa/m)."""
         c = self.contact
         default = share * stiffness
-        εN = default if c.epsilon_normal is None else c.epsilon_normal
+        εN = normal * stiffness if c.epsilon_normal is None else c.epsilon_normal
         εT = default if c.epsilon_tangential is None else c.epsilon_tangential
         self.stiffness, self.unit = stiffness, default
         self.ε = Augmentation(εN, εT)
@@ -505,7 +507,7 @@ class ContactPair(PairResults):
         if not isinstance(self.kinematics, StepLevel):
             self.kinematics = StepLevel(self.kinematics)
             self.active.cautious = False
-            self.set_law(self.stiffness, FIRMER)
+            self.set_law(self.stiffness, FIRMER, FIRMEST)
         return self.kinematics
 
     def passed_through(self) -> Finding | None:
@@ -614,9 +616,9 @@ class ContactPair(PairResults):
         return self.blocks.body_residual(self.state, self.kinematics)
 
     def _act(self) -> Index:
-        """Points whose derivative is not that of an open point with ε_N = ε_T."""
-        n = self.integration.size
-        return np.flatnonzero(self.state.status != OPEN) if self._same_ε else np.arange(n)
+        """Points whose derivative is not that of an open point with ε_N = ε_T, or a ν that is held."""
+        n, same = self.integration.size, self._same_ε or self.kinematics.normals is not None
+        return np.flatnonzero(self.state.status != OPEN) if same else np.arange(n)
 
     def tangent(self) -> Tangent:
         """Contact's share of the Jacobian, eq. (6)."""

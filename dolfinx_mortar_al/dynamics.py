@@ -254,7 +254,7 @@ class _Stepper:
 
     def _inertia_scale(self, Δt: float) -> float:
         """Norm of nodal momenta per Δt (N), roughly: the size of forces that a step of this length resolves."""
-        comm, kinetic = self.problem.comm, sum(motion.energies()[0] for motion in self.motions)
+        comm, kinetic = self.problem.comm, self.ledger.kinetic
         largest = max(comm.allreduce(float(np.abs(m.velocity.x.array).max(initial=0.0)), MPI.MAX) for m in self.motions)
         return 2 * kinetic / (largest * Δt) / np.sqrt(self.problem.bodies.layout.total) if largest > 0 else 0.0
 

@@ -110,6 +110,10 @@ class Frictionless:
         status = np.where(closed, SLIP, OPEN).astype(np.int8)
         return LawState(status, λ_hat, p, p[:, None] * ν, (λ - p[:, None]) / self.ε.normal)
 
+    def open_slope(self, ν: Array) -> Array:
+        """(n, 1, 1) δr of open points, times δλ."""
+        return np.full((len(ν), 1, 1), 1.0 / self.ε.normal)
+
     def linearise(
         self, state: LawState, λ: Array, at: Projection, s: Array | None, δ: Variation
     ) -> tuple[Array, Array]:
@@ -160,6 +164,12 @@ class Coulomb:
         zero; open points have none."""
         r = state.r - at.ν * _dot(at.ν, state.r)[:, None]
         return np.where((state.status == OPEN)[:, None], 0.0, r)
+
+    def open_slope(self, ν: Array) -> Array:
+        """(n, gdim, gdim) δr of open points, times δΛ, where ν (n, gdim) is held."""
+        normal, tangential = 1.0 / self.ε.normal, 1.0 / self.ε.tangential
+        slope = np.broadcast_to(tangential * np.eye(ν.shape[1]), (*ν.shape, ν.shape[1]))
+        return slope if normal == tangential else slope + (normal - tangential) * ν[:, :, None] * ν[:, None]
 
     def linearise(
         self, state: LawState, Λ: Array, at: Projection, s: Array | None, δ: Variation

@@ -191,7 +191,7 @@ def middle(motion):
 def test_steps_by_local_error():
     """With a tolerance Δt is the longest in flight, shrinks at the impact and grows back; velocities are nearer to those of
     short steps than those of as many equal ones."""
-    to, longest = 0.05, 5e-3
+    to, longest = 0.055, 5e-3
 
     def run(step, tolerance=None):
         problem, motion, _ = scene(step=step, size=0.04, gap=0.12)

@@ -35,7 +35,7 @@ def in_step(dim, order, friction, projection, triangles=False):
     """A pair of beams in a step: (problem, u at its end, Λ), of slips and gaps of comparable weight."""
     mesh, _, tags = TwoBeams(height=0.05, along=(9, 8), across=1, dim=dim, triangles=triangles).create()
     u = fem.Function(fem.functionspace(mesh, ("Lagrange", order, (dim,))))
-    options = {"epsilon_normal": EPSILON, "epsilon_tangential": EPSILON, "projection": projection}
+    options = {"epsilon_normal": EPSILON, "epsilon_tangential": 0.5 * EPSILON, "projection": projection}
     contact = contact_of(mesh, tags, friction=friction, **options)
     problem = ContactProblem(saint_venant_kirchhoff(E, NU).virtual_work(u), u, contacts=[contact])
     pair = problem.pairs[0]
