@@ -22,7 +22,7 @@ AMG: dict[str, str | float] = {
     "pc_type": "gamg",
     "pc_gamg_threshold": 0.0,
     "pc_gamg_aggressive_coarsening": 1,
-    "mg_levels_pc_type": "sor",
+    "mg_levels_pc_type": "jacobi",
     "mg_coarse_pc_type": "redundant",
 }
 
@@ -34,8 +34,8 @@ def block_defaults(order: int) -> dict[str, str | float]:
     said |= {"bulk_ksp_type": "preonly", "surface_ksp_type": "preonly", "surface_pc_type": "lu"}
     said |= {"surface_pc_factor_mat_solver_type": "mumps"}
     if order > 1:
-        said |= {"bulk_pc_type": "mg", "bulk_mg_levels_pc_type": "sor", "bulk_mg_levels_ksp_max_it": 2}
-        said |= {"bulk_mg_levels_ksp_type": "richardson", "bulk_mg_coarse_ksp_type": "preonly"}
+        said |= {"bulk_pc_type": "mg", "bulk_mg_levels_pc_type": "pbjacobi", "bulk_mg_levels_ksp_max_it": 2}
+        said |= {"bulk_mg_levels_ksp_type": "chebyshev", "bulk_mg_coarse_ksp_type": "preonly"}
     return said
 
 

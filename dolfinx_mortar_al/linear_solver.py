@@ -34,7 +34,7 @@ SHARE = 0.8  # of the memory that is free, which factors may take
 EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
 COSTS = 3.0  # factorisations that all the solves of a Newton step may cost
 SLOWER = 10.0  # times that an operation of a solve takes as long as one of a factorisation: it waits for the memory
-SOLVES = 20  # of a Newton step, where the solver does not say how many operations it needs
+SOLVES = 60  # of a Newton step, where the solver does not say how many operations it needs (docs/scaling.md)
 
 log = logging.getLogger(__name__)
 _Reason = PETSc.KSP.ConvergedReason
