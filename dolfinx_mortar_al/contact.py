@@ -48,6 +48,7 @@ PASSED = "the step has carried one part of the surface through another; take sma
 SOFTER = 0.12  # ε over what the bulk yields to pressure at the surface (docs/newton.md)
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
 FIRMEST = 10.0  # the same for ε_N in time steps: partly closed facets overlap by p/ε_N
+FAR = 100.0  # times more or less than by default: where Newton has been seen to fail for ε
 
 
 @dataclass(frozen=True)
@@ -313,6 +314,15 @@ class ContactPair(PairResults):
         self.law: Frictionless | Coulomb = Frictionless(self.ε)
         if self.friction:
             self.law = Coulomb(self.ε, self.μ, noise=εT * self.kinematics.touch)
+
+    def far_off(self) -> list[str]:
+        """The augmentation parameters that are a user's and more than FAR times more or less than the bulk suggests."""
+        given = {name: getattr(self.contact, name) for name in ("epsilon_normal", "epsilon_tangential")}
+        return [
+            f"{self.name}: {name} = {ε:.3g} Pa/m where the bulk suggests {self.unit:.3g}"
+            for name, ε in given.items()
+            if ε is not None and not 1 / FAR < ε / self.unit < FAR
+        ]
 
     @property
     def μ(self) -> float:

@@ -430,6 +430,8 @@ class NewtonSolver:
                 f"{' and '.join(p.unheld())}: press it on, prescribe the motion that is free, add friction, or let it "
                 "move with dynamics.march"
             )
+        elif far := [name for pair in p.pairs for name in pair.far_off()]:
+            parts.append(f"{', '.join(far)}: leave it out")
         elif any(sign < 0 for sign in self.result.signs):
             parts.append(
                 "the Jacobian's determinant is negative on the way: an unstable equilibrium (a limit or bifurcation point) "
