@@ -45,7 +45,7 @@ Bool = NDArray[np.bool_]
 Decisions = tuple[IntegrationPoints, tuple[Bool, Index, bool]]
 
 PASSED = "the step has carried one part of the surface through another; take smaller steps"
-SOFTER = 0.12  # ε over what the bulk yields to pressure at the surface (docs/newton.md)
+SOFTER = 0.125  # ε over what the bulk yields to pressure at the surface (docs/newton.md)
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
 FIRMEST = 10.0  # the same for ε_N in time steps: partly closed facets overlap by p/ε_N
 FAR = 100.0  # times more or less than by default: where Newton has been seen to fail for ε
