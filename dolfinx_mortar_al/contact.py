@@ -411,6 +411,7 @@ class ContactPair(PairResults):
             self.law = replace(self.law, μ=self.μ)
         self._divide()
         self.active.begin()
+        self.kinematics.weigh()
         if self.segments is not None:
             self.segments.begin()
 

@@ -110,9 +110,12 @@ class Kinematics(ABC):
         it turns with the unknowns."""
         return None
 
+    def weigh(self) -> None:
+        """A new solve: let :attr:`weight` say what the points face now."""
+
     @property
     def weight(self) -> Array:
-        """(n,) what the points count for in the multiplier's equation."""
+        """(n,) what the points count for in the multiplier's equation, the same all through a solve."""
         return np.ones(self.points.size)
 
     # ---------------------------------------------------------------- forces, and their derivative
@@ -220,6 +223,8 @@ def contactor_points(points: IntegrationPoints, nodes: Array) -> ContactorPoints
 class PositionLevel(Kinematics):
     """Gap and slip of the present positions: eq. (1) as it stands."""
 
+    _weight: Array = np.zeros(0)
+
     def evaluate(self) -> None:
         self.target.refresh()
         now = self.contactor()
@@ -227,9 +232,14 @@ class PositionLevel(Kinematics):
         self.may_close = self.at.facing & self.target.admits(now.facet, self.at.point)
         self.s = self.slip() if self.friction else None
 
+    def weigh(self) -> None:
+        self._weight = np.where(self.at.facing, 1.0, AWAY)
+
     @property
     def weight(self) -> Array:
-        return np.where(self.at.facing, 1.0, AWAY)
+        if len(self._weight) != self.points.size:  # segments have moved
+            self.weigh()
+        return self._weight
 
     def slip(self) -> Array:
         """s = V_T Δt, eq. (5): (n, gdim) in m, of which only the tangential part counts. 𝐲 − φ₂(Y_{n−1}, t) with the closest
