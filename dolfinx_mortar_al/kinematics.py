@@ -78,6 +78,7 @@ class Kinematics(ABC):
         self._u = u
         self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros((points.size, points.η.shape[1])))
         self.ρ: Array = np.zeros((points.size, points.facets.X.shape[2]))
+        self._weight: Array = np.ones(points.size)
 
     # ---------------------------------------------------------------- where the contactor is
 
@@ -111,12 +112,15 @@ class Kinematics(ABC):
         return None
 
     def weigh(self) -> None:
-        """A new solve: let :attr:`weight` say what the points face now."""
+        """A new solve: let :attr:`weight` be that of what the points face now."""
+        self._weight = np.ones(self.points.size)
 
     @property
     def weight(self) -> Array:
         """(n,) what the points count for in the multiplier's equation, the same all through a solve."""
-        return np.ones(self.points.size)
+        if len(self._weight) != self.points.size:  # segments have moved
+            self.weigh()
+        return self._weight
 
     # ---------------------------------------------------------------- forces, and their derivative
 
@@ -223,8 +227,6 @@ def contactor_points(points: IntegrationPoints, nodes: Array) -> ContactorPoints
 class PositionLevel(Kinematics):
     """Gap and slip of the present positions: eq. (1) as it stands."""
 
-    _weight: Array = np.zeros(0)
-
     def evaluate(self) -> None:
         self.target.refresh()
         now = self.contactor()
@@ -235,11 +237,6 @@ class PositionLevel(Kinematics):
     def weigh(self) -> None:
         self._weight = np.where(self.at.facing, 1.0, AWAY)
 
-    @property
-    def weight(self) -> Array:
-        if len(self._weight) != self.points.size:  # segments have moved
-            self.weigh()
-        return self._weight
 
     def slip(self) -> Array:
         """s = V_T Δt, eq. (5): (n, gdim) in m, of which only the tangential part counts. 𝐲 − φ₂(Y_{n−1}, t) with the closest
