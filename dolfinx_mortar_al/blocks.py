@@ -102,10 +102,9 @@ class Blocks:
 
     # ---------------------------------------------------------------- residual, eq. (4)
 
-    def multiplier_residual(self, state: LawState, kinematics: Kinematics) -> tuple[Index, Array]:
+    def multiplier_residual(self, state: LawState) -> tuple[Index, Array]:
         """∫ r·δΛ dS₀: global blocks (nf, nodes) and element vectors (nf, nodes, components)."""
-        weight = self.points.j * kinematics.weight
-        values = ((weight[:, None] * state.r)[:, None] @ self._tests(state))[:, 0]
+        values = ((self.points.j[:, None] * state.r)[:, None] @ self._tests(state))[:, 0]
         blocks, components = self.multiplier.blocks, self.multiplier.components
         return blocks, self.points.sum_by_facet(values).reshape(*blocks.shape, components)
 
@@ -136,8 +135,8 @@ class Blocks:
         rows, columns = kinematics.rows(act), kinematics.columns(act)
 
         n, d, m = len(act), self.gdim, self.multiplier.components
-        weight, tests = self.points.j * kinematics.weight, self._tests(state)
-        NΛ, δr = self.NΛ[act], δr * weight[act][:, None, None]
+        tests = self._tests(state)
+        NΛ, δr = self.NΛ[act], δr * j[:, None, None]
         nodes = NΛ.shape[2] // m
         z = d * len(slots.names)
 
@@ -149,7 +148,7 @@ class Blocks:
         r_U = apply_columns(δr[..., :z], columns, d)  # (n, m, nodes, d)
         ΛU = (np.swapaxes(tests[act], 1, 2) @ r_U.reshape(n, m, K * d)).reshape(n, nodes, m, K, d)
 
-        ΛΛ_point = law.open_slope(kinematics.at.ν) * weight[:, None, None]
+        ΛΛ_point = law.open_slope(kinematics.at.ν) * self.points.j[:, None, None]
         ΛΛ_point[act] = δr[..., z:]
         ΛΛ = self.points.sum_by_facet(np.swapaxes(tests, 1, 2) @ ΛΛ_point @ self.NΛ)
 

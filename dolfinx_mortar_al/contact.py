@@ -411,7 +411,6 @@ class ContactPair(PairResults):
             self.law = replace(self.law, μ=self.μ)
         self._divide()
         self.active.begin()
-        self.kinematics.weigh()
         if self.segments is not None:
             self.segments.begin()
 
@@ -620,7 +619,7 @@ class ContactPair(PairResults):
 
     def multiplier_residual(self) -> tuple[Index, Array]:
         """∫ r·N1 Λ* dS₀, eq. (4), as :meth:`Blocks.multiplier_residual`."""
-        return self.blocks.multiplier_residual(self.state, self.kinematics)
+        return self.blocks.multiplier_residual(self.state)
 
     def body_residual(self) -> list[tuple[Index, Array]]:
         """−∫ t·(N1 U1* − N2(η) U2*) dS₀, eq. (4), as :meth:`Blocks.body_residual`."""

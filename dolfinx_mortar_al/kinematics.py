@@ -30,11 +30,6 @@ Bool = NDArray[np.bool_]
 # other have no slip (docs/theory.md).
 SHARE = 0.5
 
-# Weight of points that face no target in the multiplier's equation, λ = 0 there. Where nothing else determines a multiplier
-# any weight does. Where the target ends inside a support, its covered share s determines it with a weight of s³ (∫ N² of a
-# linear N): from a fifth on it counts as it should (docs/integration.md).
-AWAY = 5e-3
-
 
 @dataclass
 class Forces:
@@ -78,7 +73,6 @@ class Kinematics(ABC):
         self._u = u
         self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros((points.size, points.η.shape[1])))
         self.ρ: Array = np.zeros((points.size, points.facets.X.shape[2]))
-        self._weight: Array = np.ones(points.size)
 
     # ---------------------------------------------------------------- where the contactor is
 
@@ -110,17 +104,6 @@ class Kinematics(ABC):
         """(n, gdim) the multiplier's normal direction at the points, where it is held while an iteration goes on; None where
         it turns with the unknowns."""
         return None
-
-    def weigh(self) -> None:
-        """A new solve: let :attr:`weight` be that of what the points face now."""
-        self._weight = np.ones(self.points.size)
-
-    @property
-    def weight(self) -> Array:
-        """(n,) what the points count for in the multiplier's equation, the same all through a solve."""
-        if len(self._weight) != self.points.size:  # segments have moved
-            self.weigh()
-        return self._weight
 
     # ---------------------------------------------------------------- forces, and their derivative
 
@@ -233,10 +216,6 @@ class PositionLevel(Kinematics):
         self.x, self.at = now.x, self.target.project(now)
         self.may_close = self.at.facing & self.target.admits(now.facet, self.at.point)
         self.s = self.slip() if self.friction else None
-
-    def weigh(self) -> None:
-        self._weight = np.where(self.at.facing, 1.0, AWAY)
-
 
     def slip(self) -> Array:
         """s = V_T Δt, eq. (5): (n, gdim) in m, of which only the tangential part counts. 𝐲 − φ₂(Y_{n−1}, t) with the closest
