@@ -359,10 +359,10 @@ class ContactProblem:
             pair.evaluate()
 
     def _add_tension(self) -> None:
-        if self._tension_matrix is None:
-            self._tension_matrix = self.bodies.tension(self.blocks[0][0], self._diagonals)
         A = self.blocks[0][0]
         A.assemble()
+        if self._tension_matrix is None:
+            self._tension_matrix = self.bodies.tension(A, self._diagonals)
         A.axpy(self.tension, self._tension_matrix, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
     def _add_springs(self) -> None:
