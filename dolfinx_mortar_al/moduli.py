@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 from dolfinx import fem
 from dolfinx.la import InsertMode
+from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
@@ -37,8 +38,9 @@ def yielding_share(V: fem.FunctionSpace, A: PETSc.Mat) -> fem.Function:
     share.x.array[:] = 1.0
     if V.mesh.topology.dim < d:
         return share
-    X = V.tabulate_dof_coordinates()[:, :d]
-    X = X - X.mean(axis=0) if len(X) else X
+    X, corner = V.tabulate_dof_coordinates()[:, :d], np.empty(d)
+    V.mesh.comm.Allreduce(X.min(axis=0, initial=np.inf), corner, MPI.MIN)
+    X = X - corner
     field, e = fem.Function(V), np.eye(d)
     result = A.createVecLeft()
 
