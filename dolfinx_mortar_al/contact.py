@@ -590,9 +590,8 @@ class ContactPair(PairResults):
                 λN_hat = λN_hat[self.gauss.nearest(self.integration.facet, self.integration.η)]
         self.kinematics.evaluate()
         self.active.expect(λN_hat, self.kinematics, self.ε.normal)
-        if self.segments is not None:  # of as many points as there are now
-            self._read_multiplier()
-            self.apply_law()
+        self._read_multiplier()
+        self.apply_law()  # a snapshot may be the next thing that is taken
 
     def _state_at_points(self) -> dict[str, Array]:
         """λ̂_N (Pa), for the active set: at Gauss points in statics; in time steps at the segments' points, which are part of
