@@ -249,11 +249,10 @@ class ContactPair(PairResults):
         Raises:
             ValueError: on every rank.
         """
-        if not (isinstance(self.target, DeformableTarget) and self.target.is_of(self._body1.u)):
+        target = self.target
+        if target.is_contactor or not (isinstance(target, DeformableTarget) and target.is_of(self._body1.u)):
             return
-        if isinstance(self.target, SelfTarget):
-            return
-        shared = np.isin(contactor.blocks, self.target.surface.blocks)
+        shared = np.isin(contactor.blocks, target.surface.blocks)
         if shared.any():
             X = ", ".join(f"{x:.4g}" for x in contactor.X[shared][0])
             raise ValueError(
@@ -346,8 +345,7 @@ class ContactPair(PairResults):
         self.active.closed = k.may_close & (k.at.g >= -k.touch)
         self.active.begin()
         self.evaluate()
-        if not isinstance(self.target, SelfTarget):
-            self._check_sides()
+        self._check_sides()
 
     def _divide(self) -> None:
         """Of a surface in contact with itself, choose which parts are contactor. Multipliers of a lower order than the
@@ -362,6 +360,8 @@ class ContactPair(PairResults):
 
     def _check_sides(self) -> None:
         """Contactor and target must face each other somewhere, if they are near each other at all."""
+        if self.target.is_contactor:
+            return
         k, comm = self.kinematics, self.comm
         closest = self.target.closest(k.x)
         same_way = np.einsum("ni,ni->n", k.contactor().normal, closest.ν) > 0.5
@@ -379,9 +379,9 @@ class ContactPair(PairResults):
         Raises:
             ValueError: on every rank.
         """
-        k, comm, membrane = self.kinematics, self.comm, self.contact.contactor.is_membrane
-        if isinstance(self.target, SelfTarget):
+        if self.target.is_contactor:
             return
+        k, comm, membrane = self.kinematics, self.comm, self.contact.contactor.is_membrane
         if comm.allreduce(float(self._depth(k.x).min(initial=np.inf)), MPI.MIN) < -k.touch:
             return
         body, d = self._body1, self.gdim

@@ -363,6 +363,19 @@ def assert_balanced(problem, F, u, tolerance=1e-12):
     return np.abs(problem.comm.allreduce(moment)).max() / (0.1 * size)
 
 
+def assert_derivative(problem, u, Λ):
+    """The matrix against central differences about the state u, Λ, in a rough direction."""
+    direction = [rough(1.0, 4), rough(1e8, 5)]
+
+    def at(h):
+        set_field(problem, lambda X: u(X) + h * direction[0](X), lambda X: Λ(X) + h * direction[1](X))
+        problem.pack(problem.x)
+        problem.assemble_residual(problem.x, problem.residual)
+        return [part.array.copy() for part in problem.residual.getNestSubVecs()]
+
+    assert_tangent(problem, at, lambda: set_field(problem, direction[0], direction[1]), h=1e-9)
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("friction, εT", [(0.0, 1.0), (0.8, 3.0)])
 def test_directional_derivative(dim, friction, εT):
@@ -374,15 +387,7 @@ def test_directional_derivative(dim, friction, εT):
     pair = close_by_law(problem, u, Λ)
     moment = assert_balanced(problem, contact_forces(problem, pair), problem.u.x.array.reshape(-1, dim))
     assert friction > 0 or moment < 1e-12
-    direction = [rough(1.0, 4), rough(1e8, 5)]
-
-    def at(h):
-        set_field(problem, lambda X: u(X) + h * direction[0](X), lambda X: Λ(X) + h * direction[1](X))
-        problem.pack(problem.x)
-        problem.assemble_residual(problem.x, problem.residual)
-        return [part.array.copy() for part in problem.residual.getNestSubVecs()]
-
-    assert_tangent(problem, at, lambda: set_field(problem, direction[0], direction[1]), h=1e-9)
+    assert_derivative(problem, u, Λ)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -397,15 +402,7 @@ def test_directional_derivative_in_a_step(dim):
     pair = close_by_law(problem, end, Λ)
     middle = (start + problem.u.x.array.reshape(-1, dim)) / 2
     assert assert_balanced(problem, contact_forces(problem, pair), middle) < 1e-12
-    direction = [rough(1.0, 4), rough(1e8, 5)]
-
-    def at(h):
-        set_field(problem, lambda X: end(X) + h * direction[0](X), lambda X: Λ(X) + h * direction[1](X))
-        problem.pack(problem.x)
-        problem.assemble_residual(problem.x, problem.residual)
-        return [part.array.copy() for part in problem.residual.getNestSubVecs()]
-
-    assert_tangent(problem, at, lambda: set_field(problem, direction[0], direction[1]), h=1e-9)
+    assert_derivative(problem, end, Λ)
 
 
 # ---------------------------------------------------------------- impact
