@@ -26,17 +26,17 @@ from dolfinx_mortar_al import active_set, contact, newton, quasistatic
 
 RULES: dict[str, list[tuple[ModuleType, str, float]]] = {
     "as shipped": [],
-    "gaps trusted whatever their error": [(active_set, "PATIENCE", 0.0)],
+    "gaps trusted whatever their error": [(active_set, "TRUST", 0.0)],
     "points close as readily as they open": [(active_set, "CLOSES", 1.0)],
     "no weak points opened in the first solve": [(active_set, "WEAK", 0.0)],
-    "all three off: plain semi-smooth Newton": [(active_set, "PATIENCE", 0.0), (active_set, "WEAK", 0.0)],
+    "all three off: plain semi-smooth Newton": [(active_set, "TRUST", 0.0), (active_set, "WEAK", 0.0)],
     "linear predictor": [(quasistatic, "MAX_ORDER", 1)],
     "predictor of the order that was best, by however little": [(quasistatic, "BETTER", 1.0)],
     "ε 3 times larger": [(contact, "SOFTER", 0.3)],
     "ε 3 times smaller": [(contact, "SOFTER", 0.03)],
     "slides of an iteration limited to 1 facet": [(newton, "LONGEST", 1.0)],
     "slides of an iteration not limited": [(newton, "LONGEST", 1e9)],
-    "a failed increment always halved": [(quasistatic, "CUT_HOPELESS", 0.5)],
+    "a failed increment always halved": [(quasistatic, "CUT_WITHOUT_PROGRESS", 0.5)],
 }
 
 

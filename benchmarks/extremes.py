@@ -89,7 +89,7 @@ def with_ε(scale: float) -> Verdict:
     from robustness_model import Model
 
     scene = plain()
-    default = Model(scene).pair.ε.normal
+    default = Model(scene).pair.epsilon.normal
     other, run, finer = march(scene), march(scene, ε=scale * default), march(meshes(40, 24))
     if run["error"]:
         return "refused" if run["kind"] == "step StepFailure" else "failed", run["error"]

@@ -97,7 +97,7 @@ def least(problem: ContactProblem, weight: float) -> float:
     jacobian(closed=False)
     K, mass = csr(problem.blocks[0][0]).tocsc(), csr(problem.blocks[1][1]).toarray()
     # both have the square of the multipliers' unit, and the open points' residual is λ/ε
-    mass *= pair.ε.normal * weight
+    mass *= pair.epsilon.normal * weight
     idle = pair.multiplier.idle  # a fixed end has nothing to enforce
     kept = np.setdiff1d(np.arange(len(mass)), idle)
     S = B @ scipy.sparse.linalg.splu(K).solve(B.T.toarray())

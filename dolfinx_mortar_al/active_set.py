@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
-PATIENCE = 1.0  # gaps are trusted to this many times their error
+TRUST = 1.0  # gaps are trusted to this many times their error
 CLOSES = 3.0  # an open point closes beyond this many times what makes a closed one open: closing by mistake costs more
 WEAK = 0.1  # share of the largest pressure below which points of a first, all-closed guess open
 LOSSES = 2  # times a closed point may slide off the target before it stays open for the rest of a solve
@@ -39,7 +39,7 @@ class ActiveSet:
     Attributes:
         closed: (n,) points that count as closed.
         frozen: (n,) friction bound in place of μp (Pa), not a number where it is free; None if all are.
-        patience: gaps are trusted to this many times their error.
+        trust: gaps are trusted to this many times their error.
         guessed: whether `closed` is a first guess rather than what a converged step left.
         cautious: whether the rules of statics hold; if not, the sign of λ̂_N decides alone.
     """
@@ -50,7 +50,7 @@ class ActiveSet:
         self.closed: Bool = np.zeros(n, dtype=bool)
         self.frozen: Array | None = None
         self.guessed, self.cautious = True, True
-        self.patience = PATIENCE
+        self.trust = TRUST
         self._losses: Index = np.zeros(n, dtype=np.int64)
         self._pardoned = False
         multiplier, points = blocks.multiplier, blocks.points
@@ -66,7 +66,7 @@ class ActiveSet:
 
     def begin(self) -> None:
         """A new solve: gaps are trusted as at first, bounds are free, and points may come back to the target."""
-        self.patience, self._weak_may_open, self.frozen = PATIENCE, self.guessed, None
+        self.trust, self._weak_may_open, self.frozen = TRUST, self.guessed, None
         self._losses[:], self._pardoned = 0, False
 
     def transfer(self, origin: Index) -> None:
@@ -85,7 +85,7 @@ class ActiveSet:
         """Let points open and close, as far as the gaps are known; whether any did on this rank.
 
         `residual` is `unit` × the multiplier's residual with the present set. Divided by the nodes' area it is how well the
-        gap condition is met, the error e of all gaps. A point that was closed opens where λ̂_N < −`patience`·ε_N e; one
+        gap condition is met, the error e of all gaps. A point that was closed opens where λ̂_N < −`trust`·ε_N e; one
         that was open closes where λ̂_N is CLOSES times as far above zero. As Newton converges e vanishes and what remains is
         eq. (1). A point that faces no target is open.
         """
@@ -97,7 +97,7 @@ class ActiveSet:
         error = residual.duplicate()
         error.pointwiseDivide(residual, self._node_area)
         e = error.norm(PETSc.NormType.NORM_INFINITY) / unit
-        known = εN * (self.patience * e + kinematics.touch)
+        known = εN * (self.trust * e + kinematics.touch)
         release, close = -known, CLOSES * known
         if self._weak_may_open:  # no history: what presses weakly in an all-closed start may open at once
             weak = WEAK * self._comm.allreduce(float(λ[before].max(initial=0.0)), MPI.MAX)

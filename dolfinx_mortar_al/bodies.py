@@ -246,14 +246,14 @@ class Bodies:
                 [c.value.tolist() for c in body.constants],
             )
 
-    def is_limp(self, diagonals: Sequence[fem.Function]) -> bool:
+    def lacks_stiffness(self, diagonals: Sequence[fem.Function]) -> bool:
         """Whether a displacement that is not prescribed meets next to no stiffness (collective); see `stiffness`."""
-        largest, limp = self.stiffest(diagonals), False
+        largest, found = self.stiffest(diagonals), False
         for body, first, diagonal in zip(self.bodies, self.first_piece, diagonals, strict=True):
             free = body.prescribed().x.array == 0
             own = np.repeat(largest[body.piece + first], self.gdim)
-            limp |= bool((diagonal.x.array[free] < 1e-10 * own[free]).any())
-        return bool(self.comm.allreduce(limp, MPI.LOR))
+            found |= bool((diagonal.x.array[free] < 1e-10 * own[free]).any())
+        return bool(self.comm.allreduce(found, MPI.LOR))
 
     def stiffest(self, diagonals: Sequence[fem.Function]) -> Array:
         """(pieces,) largest diagonal entry of the stiffness (N/m) on each piece (collective)."""

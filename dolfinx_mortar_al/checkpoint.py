@@ -213,7 +213,7 @@ class Checkpoint:
         for key, array in arrays.items():
             member, name = key.split(".")
             snapshot[member][name] = array
-        self._problem.limp = False  # a step has converged
+        self._problem.lacks_stiffness = False  # a step has converged
         self._problem.restore(snapshot)
 
 

@@ -307,12 +307,12 @@ class ContactPair(PairResults):
         εN = normal * stiffness if c.epsilon_normal is None else c.epsilon_normal
         εT = default if c.epsilon_tangential is None else c.epsilon_tangential
         self.stiffness, self.unit = stiffness, default
-        self.ε = Augmentation(εN, εT)
+        self.epsilon = Augmentation(εN, εT)
         # the residual of an open point, ν λ_N/ε_N − λ_T/ε_T, turns with ν unless ε_N = ε_T
         self._same_ε = εN == εT or not self.friction
-        self.law: Frictionless | Coulomb = Frictionless(self.ε)
+        self.law: Frictionless | Coulomb = Frictionless(self.epsilon)
         if self.friction:
-            self.law = Coulomb(self.ε, self.μ, noise=εT * self.kinematics.touch)
+            self.law = Coulomb(self.epsilon, self.friction_coefficient, noise=εT * self.kinematics.touch)
 
     def far_off(self) -> list[str]:
         """The augmentation parameters that are a user's and more than FAR times more or less than the bulk suggests."""
@@ -324,7 +324,7 @@ class ContactPair(PairResults):
         ]
 
     @property
-    def μ(self) -> float:
+    def friction_coefficient(self) -> float:
         """Coulomb's coefficient as it is now."""
         return _coefficient(constant_value(self.contact.friction))
 
@@ -408,7 +408,7 @@ class ContactPair(PairResults):
     def begin(self) -> None:
         """A new solve."""
         if isinstance(self.law, Coulomb):
-            self.law = replace(self.law, μ=self.μ)
+            self.law = replace(self.law, μ=self.friction_coefficient)
         self._divide()
         self.active.begin()
         if self.segments is not None:
@@ -428,7 +428,7 @@ class ContactPair(PairResults):
         """The multiplier field at the points, in frames that the kinematics hold."""
         if self.kinematics.normals is not None:
             self.blocks.turn(self.kinematics.normals)
-        self.Λ = self.blocks.multiplier_at_points()
+        self._Λ = self.blocks.multiplier_at_points()
 
     def follow(self) -> bool:
         """At the start of an iteration: let the kinematics choose anew what they hold; whether it changed (collective)."""
@@ -476,11 +476,11 @@ class ContactPair(PairResults):
     def apply_law(self) -> None:
         """What eq. (1) says with the active set as it is."""
         k, active = self.kinematics, self.active
-        self.state = self.law.evaluate(self.Λ, k.at, k.s, active.closed, active.frozen)
+        self.state = self.law.evaluate(self._Λ, k.at, k.s, active.closed, active.frozen)
 
     def decide(self, residual: PETSc.Vec) -> bool:
         """Let the active set change, once per Newton iteration; whether any point did, on any rank."""
-        changed = self.active.decide(self.state, self.kinematics, residual, self.unit, self.ε.normal)
+        changed = self.active.decide(self.state, self.kinematics, residual, self.unit, self.epsilon.normal)
         return bool(self.comm.allreduce(changed, MPI.LOR))
 
     def decisions(self) -> Decisions:
@@ -495,7 +495,7 @@ class ContactPair(PairResults):
     def violation(self) -> float:
         """Largest |λ̂_N| (Pa) at a point that is closed or open against eq. (1), as a share of the largest pressure
         (collective)."""
-        wrong = self.active.at_odds(self.state, self.kinematics, self.ε.normal)
+        wrong = self.active.at_odds(self.state, self.kinematics, self.epsilon.normal)
         worst = self.comm.allreduce(float(wrong.max(initial=0.0)), MPI.MAX)
         return worst / max(self.largest_pressure(), 1e-300) if worst > 0 else 0.0
 
@@ -589,7 +589,7 @@ class ContactPair(PairResults):
                 self.follow_segments()
                 λN_hat = λN_hat[self.gauss.nearest(self.integration.facet, self.integration.η)]
         self.kinematics.evaluate()
-        self.active.expect(λN_hat, self.kinematics, self.ε.normal)
+        self.active.expect(λN_hat, self.kinematics, self.epsilon.normal)
         self._read_multiplier()
         self.apply_law()  # a snapshot may be the next thing that is taken
 
@@ -612,7 +612,7 @@ class ContactPair(PairResults):
         at = self.target.project(contactor_points(points, self.kinematics.nodes()))
         Λ = (self.multiplier.at(points.facet, points.η) * self.multiplier.own_nodal()[points.facet]).sum(axis=1)
         λN = np.einsum("ni,ni->n", at.ν, Λ) if self.contact.friction else Λ[:, 0]
-        return augmented_normal(λN, at.g, self.ε)
+        return augmented_normal(λN, at.g, self.epsilon)
 
     # ---------------------------------------------------------------- element arrays
 
@@ -631,7 +631,7 @@ class ContactPair(PairResults):
 
     def tangent(self) -> Tangent:
         """Contact's share of the Jacobian, eq. (6)."""
-        return self.blocks.tangent(self.law, self.state, self.Λ, self.kinematics, self._act())
+        return self.blocks.tangent(self.law, self.state, self._Λ, self.kinematics, self._act())
 
     def couples(self) -> Index:
         """Where the matrices have entries now, as :meth:`Blocks.couples`."""

@@ -115,12 +115,12 @@ def march(
     to = validation.number("to", to, above=start, must="the end of the march must be")
     if tolerance is not None:
         tolerance = validation.number("tolerance", tolerance, above=0.0)
-    said = (start, to, tolerance, [float(motion.Δt.value) for motion in all_motions])
+    said = (start, to, tolerance, [float(motion.time_step.value) for motion in all_motions])
     agreed(problem.comm, "start, to, tolerance, Δt", said)
     problem.members |= {f"motion{k}": motion for k, motion in enumerate(all_motions)}
     stepper = _Stepper(problem, all_motions, move, solver, ledger)
     validation.check_kinetic(stepper.ledger.kinetic)
-    longest = float(stepper.motions[0].Δt.value)
+    longest = float(stepper.motions[0].time_step.value)
     steps = int(np.ceil((to - start) / longest - 1e-9))
     time, Δt, number = start, longest, 1
     while number <= steps:
@@ -131,7 +131,7 @@ def march(
         share = 0.0 if tolerance is None or not easy else stepper.local_error(trial) / tolerance
         if not easy or share > FAR:
             Δt = trial / 2 if not easy else trial * max(0.2, SAFETY * share ** (-1 / 3))
-            stepper.undo(time, hopeless=Δt < smallest * longest)
+            stepper.undo(time, give_up=Δt < smallest * longest)
             continue
         time = mark if nominal else time + trial
         if tolerance is not None:
@@ -156,10 +156,10 @@ class _Stepper:
         self.problem, self.motions = problem, motions
         self.move: Callable[[float], None] = move if move is not None else lambda t: None
         self.solver = NewtonSolver(problem, rtol=RTOL) if solver is None else solver
-        θ = {motion.θ for motion in motions}
+        θ = {motion.theta for motion in motions}
         if len(θ) > 1:
             raise ValueError(f"theta = {sorted(θ)}: all motions of a problem need the same θ")
-        self.θ = θ.pop()
+        self.theta = θ.pop()
         self.levels = [pair.use_steps() for pair in problem.pairs]
         self._projection = VelocityProjection(problem, motions)
         problem.evaluate()
@@ -187,7 +187,7 @@ class _Stepper:
         problem = self.problem
         self._before: Snapshot = problem.snapshot()
         for motion in self.motions:
-            motion.Δt.value = Δt
+            motion.time_step.value = Δt
             motion.predict()
         self.move(time + Δt / 2)
         for level in self.levels:
@@ -258,14 +258,14 @@ class _Stepper:
         largest = max(comm.allreduce(float(np.abs(m.velocity.x.array).max(initial=0.0)), MPI.MAX) for m in self.motions)
         return 2 * kinetic / (largest * Δt) / np.sqrt(self.problem.bodies.layout.total) if largest > 0 else 0.0
 
-    def undo(self, time: float, hopeless: bool) -> None:
-        """Back to the last accepted state; `hopeless` ends the run with the reason."""
+    def undo(self, time: float, give_up: bool) -> None:
+        """Back to the last accepted state; `give_up` ends the run with the reason."""
         for motion in self.motions:
             motion.undo()
         self.problem.restore(self._before)
         self.move(time)
         self.rejected += 1
-        if hopeless:
+        if give_up:
             raise StepFailure(f"no convergence after time {time:.6g} s with the smallest step: {self._message}")
 
     def accept(self, time: float, Δt: float, nominal: bool) -> Step:

@@ -33,14 +33,17 @@ Fingerprint = dict[str, str]
 
 def fingerprint(problem: ContactProblem, motions: Sequence[Motion]) -> Fingerprint:
     """The problem's fingerprint, the same on all ranks (collective)."""
-    steps = [motion.Δt for motion in motions]  # may be another when a run goes on
+    steps = [motion.time_step for motion in motions]  # may be another when a run goes on
     mine: Fingerprint = {"ranks": str(problem.comm.size), "states": ", ".join(problem.members)}
     for k, body in enumerate(problem.bodies.bodies):
         mine |= {f"{what} of u[{k}]": said for what, said in _of_body(body, steps).items()}
     for pair in problem.pairs:
         mine |= {f"{what} of pair {pair.name}": said for what, said in _of_pair(pair).items()}
     for k, motion in enumerate(motions):
-        mine |= {f"density of motion {k}": str(constant_value(motion.density)), f"theta of motion {k}": repr(motion.θ)}
+        mine |= {
+            f"density of motion {k}": str(constant_value(motion.density)),
+            f"theta of motion {k}": repr(motion.theta),
+        }
     everywhere = problem.comm.allgather(mine)
     return {
         label: said
@@ -79,7 +82,7 @@ def _of_body(body: Body, steps: Sequence[Any]) -> Fingerprint:
 def _of_pair(pair: ContactPair) -> Fingerprint:
     contact, target = pair.contact, pair.contact.target
     said = {
-        "friction": repr(pair.μ),
+        "friction": repr(pair.friction_coefficient),
         "epsilon": f"{pair.contact.epsilon_normal} and {pair.contact.epsilon_tangential}, {pair.stiffness:.9g} by default",
         "multiplier": f"order {contact.multiplier_order}, {pair.multiplier.components} components",
         "projection": contact.projection,

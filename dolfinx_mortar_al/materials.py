@@ -59,10 +59,10 @@ def lame(E: Any, ν: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True)
 class Hyperelastic(ABC):
-    """A stored energy w(𝐅) per reference volume, with Lamé's moduli G and Λ in Pa."""
+    """A stored energy w(𝐅) per reference volume, with Lamé's moduli G and Λ (`lame`) in Pa."""
 
     G: Any
-    Λ: Any
+    lame: Any
 
     def energy(self, F: Expr) -> Expr:
         """w(𝐅) in J/m³."""
@@ -130,12 +130,12 @@ class SaintVenantKirchhoff(Hyperelastic):
 
     def energy_of_strain(self, C: Expr) -> Expr:
         E = (C - ufl.Identity(C.ufl_shape[0])) / 2
-        return self.Λ / 2 * ufl.tr(E) ** 2 + self.G * ufl.inner(E, E)
+        return self.lame / 2 * ufl.tr(E) ** 2 + self.G * ufl.inner(E, E)
 
     def second_piola(self, C: Expr) -> Expr:
         I = ufl.Identity(C.ufl_shape[0])
         E = (C - I) / 2
-        return self.Λ * ufl.tr(E) * I + 2 * self.G * E
+        return self.lame * ufl.tr(E) * I + 2 * self.G * E
 
     def mean_first_piola(self, F0: Expr, F1: Expr) -> Expr:
         """The mean of the two ends' stresses (Simo and Tarnow), which for this law is the discrete gradient."""
@@ -148,15 +148,15 @@ class NeoHookean(Hyperelastic):
     def energy_of_strain(self, C: Expr) -> Expr:
         out_of_plane = 3 - C.ufl_shape[0]
         I1, lnI3 = ufl.tr(C) + out_of_plane, ufl.ln(ufl.det(C))
-        return self.G / 2 * (I1 - 3 - lnI3) + self.Λ / 8 * lnI3**2
+        return self.G / 2 * (I1 - 3 - lnI3) + self.lame / 8 * lnI3**2
 
     def second_piola(self, C: Expr) -> Expr:
         I, C_inv = ufl.Identity(C.ufl_shape[0]), ufl.inv(C)
-        return self.G * (I - C_inv) + self.Λ / 2 * ufl.ln(ufl.det(C)) * C_inv
+        return self.G * (I - C_inv) + self.lame / 2 * ufl.ln(ufl.det(C)) * C_inv
 
     def first_piola(self, F: Expr) -> Expr:
         F_inv_T = ufl.inv(F).T
-        return self.G * (F - F_inv_T) + self.Λ * ufl.ln(ufl.det(F)) * F_inv_T
+        return self.G * (F - F_inv_T) + self.lame * ufl.ln(ufl.det(F)) * F_inv_T
 
     least_change: ClassVar[float] = TINY_STRAIN
 
@@ -177,7 +177,7 @@ class NeoHookean(Hyperelastic):
         bend = ufl.conditional(ufl.lt(abs(z), SERIES), series, ufl.ln((1 + z) / (1 - z)) / 2 - z)
         miss = I3 / 4 - z * I2 / 2 + 2 * bend  # Δ ln det 𝐂 − I₁
         mean = ufl.ln(even**2 * (1 - z**2)) / 2  # of ln det 𝐂 at both ends, less ln det 𝐂̄
-        return (self.Λ * ufl.ln(ufl.det(C)) / 4 - self.G / 2) * miss + self.Λ / 4 * mean * (I1 + miss)
+        return (self.lame * ufl.ln(ufl.det(C)) / 4 - self.G / 2) * miss + self.lame / 4 * mean * (I1 + miss)
 
 
 def saint_venant_kirchhoff(E: Any, nu: Any) -> SaintVenantKirchhoff:

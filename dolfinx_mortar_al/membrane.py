@@ -99,12 +99,12 @@ class NeoHookeanMembrane:
     """
 
     G: Any
-    Λ: Any
+    lame: Any
     thickness: Any
 
     def squared_thickness_stretch(self, J: Expr) -> Expr:
         """x(J), by Halley's iteration on y = ln x: exact to round-off, and so is its derivative."""
-        G, Λ = self.G, self.Λ
+        G, Λ = self.G, self.lame
         log_J = ufl.ln(J)
         y = -Λ * log_J / (G + Λ / 2)
         for _ in range(HALLEY):

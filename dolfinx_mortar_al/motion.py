@@ -59,10 +59,10 @@ class Motion:
         if not isinstance(force, str) or force not in ("consistent", "trapezoidal"):
             raise ValueError(f'force = "{force}": "consistent" or "trapezoidal"')
         V = u.function_space
-        self.u, self.material, self.density, self.thickness, self.θ = u, material, density, thickness, theta
+        self.u, self.material, self.density, self.thickness, self.theta = u, material, density, thickness, theta
         self.external = external
         self.old, self.velocity = u.copy(), fem.Function(V, name="velocity")
-        self.Δt = fem.Constant(V.mesh, float(step))
+        self.time_step = fem.Constant(V.mesh, float(step))
         self.dx = cell_measure(u)
         w = ufl.TestFunction(V)
         F0, F1 = deformation_gradient(self.old), deformation_gradient(u)
@@ -70,7 +70,7 @@ class Motion:
             P = material.mean_first_piola(F0, F1)
         else:
             P = theta * material.first_piola(F1) + (1 - theta) * material.first_piola(F0)
-        rate = (self.new_velocity() - self.velocity) / self.Δt
+        rate = (self.new_velocity() - self.velocity) / self.time_step
         self.residual = thickness * (density * ufl.inner(rate, w) + ufl.inner(P, ufl.grad(w))) * self.dx
         if external is not None:
             self.residual -= external
@@ -81,7 +81,7 @@ class Motion:
 
     def new_velocity(self) -> Any:
         """𝐯_{n+1} (m/s) as UFL of 𝐮_{n+1}, 𝐮_n and 𝐯_n."""
-        return (self.u - self.old) / (self.θ * self.Δt) - (1 - self.θ) / self.θ * self.velocity
+        return (self.u - self.old) / (self.theta * self.time_step) - (1 - self.theta) / self.theta * self.velocity
 
     def energy_forms(self, dx: ufl.Measure | None = None) -> tuple[Any, Any]:
         """Kinetic and strain energy (J) at the last accepted step as compiled forms, over all cells or those of `dx`."""
@@ -135,16 +135,16 @@ class Motion:
 
     def predict(self) -> None:
         """𝐮 ← 𝐮_n + Δt 𝐯_n/2, where the step's contact geometry is taken first."""
-        self.u.x.array[:] = self.old.x.array + self.Δt.value / 2 * self.velocity.x.array
+        self.u.x.array[:] = self.old.x.array + self.time_step.value / 2 * self.velocity.x.array
 
     def guess(self) -> None:
         """𝐮 ← 𝐮_n + Δt 𝐯_n, from which Newton starts."""
-        self.u.x.array[:] = self.old.x.array + self.Δt.value * self.velocity.x.array
+        self.u.x.array[:] = self.old.x.array + self.time_step.value * self.velocity.x.array
 
     def accept(self) -> None:
         """The step has converged: 𝐯_n ← 𝐯_{n+1}, 𝐮_n ← 𝐮_{n+1}."""
-        new = (self.u.x.array - self.old.x.array) / (self.θ * self.Δt.value)
-        self.velocity.x.array[:] = new - (1 - self.θ) / self.θ * self.velocity.x.array
+        new = (self.u.x.array - self.old.x.array) / (self.theta * self.time_step.value)
+        self.velocity.x.array[:] = new - (1 - self.theta) / self.theta * self.velocity.x.array
         self.old.x.array[:] = self.u.x.array
 
     def undo(self) -> None:

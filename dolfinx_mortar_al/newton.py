@@ -40,7 +40,7 @@ WANDERS_AFTER, SETTLED = (
     8,
     3,
 )  # iterations without progress, the last with no point opened or closed: then bounds are frozen
-HOPELESS_AFTER, HOPELESS = 16, 0.1  # as it is when five iterations in a row have relative residuals above this
+GIVES_UP_AFTER, NO_PROGRESS = 16, 0.1  # as it is when five iterations in a row have relative residuals above this
 
 
 @dataclass
@@ -174,7 +174,7 @@ class NewtonSolver:
         for pair in p.pairs:
             pair.begin()
         self._linear_start = p.stopwatch.clock()
-        self._tension = FIRST_TENSION if p.limp else 0.0
+        self._tension = FIRST_TENSION if p.lacks_stiffness else 0.0
         p.pack(p.x)
         with p.stopwatch("newton"):
             try:
@@ -202,7 +202,7 @@ class NewtonSolver:
         unless something else than stiffness was missing."""
         excuse = self.linear.excuse()
         if excuse is None:
-            self.problem.limp = True
+            self.problem.lacks_stiffness = True
             self.result.message = "the Jacobian is singular: some displacement meets no stiffness" + self._advice()
         else:
             self.result.message = excuse
@@ -255,10 +255,10 @@ class NewtonSolver:
         recent = [max(norms) * self.rtol for norms in self.result.norms[-5:]]
         tries = iteration - self._law_since
         settled = iteration - self._set_since >= SETTLED
-        if tries >= WANDERS_AFTER and settled and min(recent) > HOPELESS and self._freeze(iteration):
+        if tries >= WANDERS_AFTER and settled and min(recent) > NO_PROGRESS and self._freeze(iteration):
             return None
-        patience = 2 * HOPELESS_AFTER if self.problem.limp else HOPELESS_AFTER
-        if iteration >= snes.getTolerances()[3] or (tries >= patience and min(recent) > HOPELESS):
+        allowed = 2 * GIVES_UP_AFTER if self.problem.lacks_stiffness else GIVES_UP_AFTER
+        if iteration >= snes.getTolerances()[3] or (tries >= allowed and min(recent) > NO_PROGRESS):
             return _Reason.DIVERGED_MAX_IT  # a long walk of the contact's edge, one facet at a time, may go on
         return self._watch_pattern(iteration)
 
@@ -291,7 +291,7 @@ class NewtonSolver:
             if not self._freeze(iteration):
                 self._damping = 0.5
                 for pair in self.problem.pairs:
-                    pair.active.patience *= 10.0
+                    pair.active.trust *= 10.0
         self._patterns.append(pattern)
         return None
 
@@ -305,7 +305,7 @@ class NewtonSolver:
         """Freeze the friction bounds; whether there were any that were free."""
         free = [pair for pair in self.problem.pairs if pair.friction and pair.active.frozen is None]
         for pair in free:
-            pair.active.freeze(pair.state, pair.μ)
+            pair.active.freeze(pair.state, pair.friction_coefficient)
         self._law_since = iteration if free else self._law_since
         return bool(free)
 
@@ -313,7 +313,7 @@ class NewtonSolver:
         """A state has converged with friction bounds that were frozen and are not μp: bring them up to date (a fixed point of
         Tresca's problems), or free them, once, as soon as they are nearly right."""
         pairs = [pair for pair in self.problem.pairs if pair.active.frozen is not None]
-        stale = max([pair.active.staleness(pair.state, pair.μ) for pair in pairs], default=0.0)
+        stale = max([pair.active.staleness(pair.state, pair.friction_coefficient) for pair in pairs], default=0.0)
         if stale <= BOUND_TOLERANCE:
             return False
         free, self._freezes = stale < NEARLY and not self._freed, self._freezes + 1
@@ -322,7 +322,7 @@ class NewtonSolver:
             if free:
                 pair.active.thaw()
             else:
-                pair.active.freeze(pair.state, pair.μ)
+                pair.active.freeze(pair.state, pair.friction_coefficient)
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         self.problem.reconsider(self.snes.getFunction()[0])
         return True

@@ -125,7 +125,7 @@ def summary(
         "ranks": problem.comm.size,
         "unknowns": problem.unknowns,
         "linear_solver": None if problem.linear_solver is None else str(problem.linear_solver),
-        "epsilon": {p.name: {"normal": p.ε.normal, "tangential": p.ε.tangential} for p in problem.pairs},
+        "epsilon": {p.name: {"normal": p.epsilon.normal, "tangential": p.epsilon.tangential} for p in problem.pairs},
         "newton_iterations": int(sum(row["newton_iterations"] for row in history.rows)),
         "steps": len(history.rows),
         "rejected_steps": rejected,

@@ -98,7 +98,11 @@ class ContactProblem:
                 ContactPair(contact, self.bodies, self.stopwatch, name)
                 for contact, name in zip(contacts, names, strict=True)
             ]
-            agreed(self.comm, "contacts", [(pair.name, pair.μ, pair.contact.thickness) for pair in self.pairs])
+            agreed(
+                self.comm,
+                "contacts",
+                [(pair.name, pair.friction_coefficient, pair.contact.thickness) for pair in self.pairs],
+            )
         #: what a snapshot is made of, in the order in which it is restored
         self.members: dict[str, Member] = {"bodies": self.bodies}
         self.members |= {f"pair{k}": pair for k, pair in enumerate(self.pairs)}
@@ -174,7 +178,7 @@ class ContactProblem:
         del pattern
         self._diagonals = diagonals
         #: some unprescribed displacement meets no stiffness, as a flat membrane's across it; until a step has converged
-        self.limp = self.bodies.is_limp(diagonals)
+        self.lacks_stiffness = self.bodies.lacks_stiffness(diagonals)
         #: contact's element matrices in blocks[0][0]
         self._contact_share: list[tuple[Index, Index, Array]] = []
         #: a fictitious tension in the Jacobian, as a share of the stiffness (no part of the residual)
@@ -206,10 +210,10 @@ class ContactProblem:
             wide = new[k - 1]
             if self.gdim == 2 or self.spare_pattern:
                 wide = pair.blocks.with_neighbours(wide, pair.kinematics)
-            fresh = np.setdiff1d(wide, self._seen[k - 1], assume_unique=True)
-            self._seen[k - 1] = np.union1d(self._seen[k - 1], fresh)
+            unseen = np.setdiff1d(wide, self._seen[k - 1], assume_unique=True)
+            self._seen[k - 1] = np.union1d(self._seen[k - 1], unseen)
             for (i, j), elements in zip(
-                [(0, 0), (0, k), (k, 0), (k, k)], pair.blocks.pattern(fresh, pair.kinematics), strict=True
+                [(0, 0), (0, k), (k, 0), (k, k)], pair.blocks.pattern(unseen, pair.kinematics), strict=True
             ):
                 entries = empty_matrix(self._layouts[i], self._layouts[j])
                 for element in elements:
@@ -407,7 +411,7 @@ class ContactProblem:
         """Where the law disagrees with the active set, in words (collective)."""
         parts = []
         for pair in self.pairs:
-            wrong = pair.active.at_odds(pair.state, pair.kinematics, pair.ε.normal) > 0
+            wrong = pair.active.at_odds(pair.state, pair.kinematics, pair.epsilon.normal) > 0
             X = np.concatenate(self.comm.allgather(pair.points()[wrong]))
             if len(X):
                 parts.append(f"{pair.name}: {len(X)} points, the first at X = {np.array2string(X[0], precision=4)}")
@@ -426,7 +430,7 @@ class ContactProblem:
 
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""
-        self.limp = False
+        self.lacks_stiffness = False
         for pair in self.pairs:
             pair.commit()
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al import validation
 from dolfinx_mortar_al.monitors import Finding, Reporter
-from dolfinx_mortar_al.newton import HOPELESS, Load, NewtonSolver, Path
+from dolfinx_mortar_al.newton import NO_PROGRESS, Load, NewtonSolver, Path
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.stepping import Event, LoadWatch
@@ -24,7 +24,10 @@ __all__ = ["Step", "StepFailure", "follow", "march"]
 MAX_ORDER = 4  # of the predictor's polynomial
 BETTER = 3.0  # factor by which a higher order must have been better to be used: measured, docs/newton.md
 EVENT = 2.0**-6  # of an asked-for increment: how closely an event is met
-CUT, CUT_HOPELESS = 1 / 2, 1 / 4  # of the increment after a failure: that came near, that made no progress at all
+CUT, CUT_WITHOUT_PROGRESS = (
+    1 / 2,
+    1 / 4,
+)  # of the increment after a failure: that came near, that made no progress at all
 EASY = 8  # Newton iterations up to which an increment that was cut may grow again
 
 
@@ -120,7 +123,7 @@ def _march(
             parameter.value = trial
         if not stepper.solve():
             increment = stepper.cut * (trial - current)
-            stepper.undo(current, hopeless=abs(increment) < smallest * abs(asked))
+            stepper.undo(current, give_up=abs(increment) < smallest * abs(asked))
             continue
         happened = event()
         if happened and abs(trial - current) > EVENT * abs(asked):
@@ -190,7 +193,7 @@ def follow(
         parameter.value = λ1 + share * (λ1 - λ0)
         if not stepper.solve(Path(parameter, direction, 1e-3 * first)):
             step_length *= stepper.cut
-            stepper.undo(λ1, hopeless=step_length < smallest * length)
+            stepper.undo(λ1, give_up=step_length < smallest * length)
             continue
         states = [(λ1, u1), (parameter.value, problem.bodies.get())]
         s = [s[1], s[1] + _largest(problem, states[1][1] - u1)]
@@ -226,7 +229,7 @@ class _Stepper:
         result = self.solver.solve(path)
         self.iterations += result.iterations
         self.easy, self._message = result.iterations <= EASY, result.message
-        self.cut = CUT if result.residual < HOPELESS else CUT_HOPELESS
+        self.cut = CUT if result.residual < NO_PROGRESS else CUT_WITHOUT_PROGRESS
         self._findings = self.problem.findings() if result.converged else []
         if result.converged and result.unstable and not self.problem.floating:  # neutral, where nothing resists a slide
             self._findings.append(UNSTABLE)
@@ -245,14 +248,14 @@ class _Stepper:
         self.rejected, self.iterations, self._clock = 0, 0, perf_counter()
         return step
 
-    def undo(self, load: float, hopeless: bool) -> None:
-        """Back to the last converged state at `load`; `hopeless` ends the run with the reason of the failure."""
+    def undo(self, load: float, give_up: bool) -> None:
+        """Back to the last converged state at `load`; `give_up` ends the run with the reason of the failure."""
         failed, self.load.value = self.load.value, load
         self.past.restore()
         self.rejected += 1
         if self.bar is not None:
             self.bar.rejected(failed, self._message)
-        if hopeless:
+        if give_up:
             self.problem.evaluate()
             raise StepFailure(
                 f"no convergence at load {failed:.6g} with the smallest step: {self._message}; "

@@ -44,8 +44,8 @@ class PairResults:
     target: Target
     segments: Segments | None
     state: LawState
-    Λ: Array
-    ε: Augmentation
+    _Λ: Array
+    epsilon: Augmentation
     area: float
     _at_end: NDArray[np.bool_]
     _prescribed_facets: NDArray[np.bool_]
@@ -88,8 +88,8 @@ class PairResults:
     def stored_energy(self) -> float:
         """∫ (p² − λ_N²)/(2ε_N) dS₀ (J), collective: what the augmentation holds where facets are partly closed. It is the
         potential of the normal contact forces, convex in the gaps and zero where nothing touches."""
-        λN = self.Λ[:, 0] if self.Λ.shape[1] == 1 else np.einsum("ni,ni->n", self.Λ, self.at.ν)
-        density = (self.state.p**2 - λN**2) / (2 * self.ε.normal)
+        λN = self._Λ[:, 0] if self._Λ.shape[1] == 1 else np.einsum("ni,ni->n", self._Λ, self.at.ν)
+        density = (self.state.p**2 - λN**2) / (2 * self.epsilon.normal)
         return float(self.comm.allreduce(float(self.j @ density)))
 
     def penetration(self) -> float:

@@ -61,7 +61,7 @@ class LoadWatch:
 
     def _state(self) -> NDArray[np.float64]:
         self._problem.bodies.residual(self._b)
-        parts = [self._b.array_r, [pair.μ for pair in self._problem.pairs]]
+        parts = [self._b.array_r, [pair.friction_coefficient for pair in self._problem.pairs]]
         for pair in self._problem.pairs:
             if isinstance(pair.target, RigidTarget):
                 pose = pair.target.obstacle.pose

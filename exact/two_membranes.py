@@ -222,7 +222,7 @@ class TwoMembranes:
         return self.E / (2 * (1 + self.nu))
 
     @property
-    def Λ(self) -> float:
+    def lame(self) -> float:
         """Lamé's first parameter in Pa."""
         return self.E * self.nu / ((1 + self.nu) * (1 - 2 * self.nu))
 
@@ -239,14 +239,14 @@ class TwoMembranes:
     def tension(self, l: ArrayLike) -> Array:
         """N = hG(l − x/l) in N/m at the stretch l."""
         l = np.asarray(l, dtype=float)
-        return self.thickness * self.G * (l - thickness_stretch_squared(l, self.G, self.Λ) / l)
+        return self.thickness * self.G * (l - thickness_stretch_squared(l, self.G, self.lame) / l)
 
     def stretch(self, N: ArrayLike) -> Array:
         """Stretch l ≥ 1 at the tension N ≥ 0 in N/m: Newton on a concave function, from below after a first step."""
         N = np.asarray(N, dtype=float)
         if not np.all(N >= 0):
             raise ValueError(f"tension = {np.min(N)}: must be ≥ 0, a membrane carries no compression")
-        G, Λ, n = self.G, self.Λ, N / (self.thickness * self.G)
+        G, Λ, n = self.G, self.lame, N / (self.thickness * self.G)
         l = (n + np.sqrt(n**2 + 4)) / 2
         for _ in range(50):
             x = thickness_stretch_squared(l, G, Λ)

@@ -151,7 +151,7 @@ def test_the_step_adapts_and_meets_the_asked_for_times():
     class FailsTwice(NewtonSolver):
         def solve(self, path=None):
             result = super().solve(path)
-            calls.append(motion.Δt.value.item())
+            calls.append(motion.time_step.value.item())
             result.converged &= len(calls) not in (3, 4)
             return result
 

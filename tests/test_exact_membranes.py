@@ -36,7 +36,7 @@ def up(d):
 @pytest.mark.parametrize("nu", [0.0, 1e-9, 0.3, 0.4999])
 def test_thickness_stretch_leaves_no_stress(nu):
     material = TwoMembranes(nu=nu)
-    G, Λ = material.G, material.Λ
+    G, Λ = material.G, material.lame
     J = np.geomspace(1e-2, 1e6, 50).reshape(5, 10)
     x = thickness_stretch_squared(J, G, Λ)
     assert x.shape == J.shape and np.all(x > 0)
@@ -47,7 +47,7 @@ def test_thickness_stretch_leaves_no_stress(nu):
 
 def test_tension_is_the_derivative_of_the_energy():
     material = TwoMembranes()
-    G, Λ, h = material.G, material.Λ, material.thickness
+    G, Λ, h = material.G, material.lame, material.thickness
 
     def energy(l):
         x = brentq(lambda x: G * (x - 1) + Λ / 2 * np.log(x) + Λ * np.log(l), 1e-12, 10, xtol=1e-15)
@@ -180,7 +180,7 @@ def test_equilibrium_point_by_point(shift, friction, way):
 def test_material_length_in_closed_form(shift, friction, way):
     """∫ dr/l = ∫ dN/(μp l) over the line has the primitive hG[ln l − x/(2l²) − e^{a(x−1)}(ax − 1)/(2a²)], a = 2G/Λ."""
     state = at(shift, friction, way)
-    G, Λ, h = state.membranes.G, state.membranes.Λ, state.membranes.thickness
+    G, Λ, h = state.membranes.G, state.membranes.lame, state.membranes.thickness
     a, l = 2 * G / Λ, np.array([state.stretch_min, state.stretch_max])
     x = thickness_stretch_squared(l, G, Λ)
     low, high = h * G * (np.log(l) - x / (2 * l**2) - np.exp(a * (x - 1)) * (a * x - 1) / (2 * a**2))

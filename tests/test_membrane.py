@@ -30,7 +30,7 @@ def test_thickness_is_eliminated_to_round_off(nu):
     """x(J) against Wright's ω for area stretches 0.1 … 20: a few units of round-off."""
     sheet = membrane.neo_hookean_membrane(1.0, nu, 1.0)
     for J in np.geomspace(0.1, 20.0, 41):
-        exact = thickness_stretch_squared(J, sheet.G, sheet.Λ)
+        exact = thickness_stretch_squared(J, sheet.G, sheet.lame)
         assert float(sheet.squared_thickness_stretch(ufl.as_ufl(float(J)))) == pytest.approx(float(exact), rel=1e-13)
 
 
@@ -42,7 +42,7 @@ def test_tension_of_a_strip_and_of_a_sheet_stretched_both_ways():
         u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (dim,))))
         u.interpolate(lambda x, l=l, dim=dim: ((l - 1) * x[:dim]) * np.array([[1], [0], [1]])[:dim])
         J = l if dim == 2 else l**2
-        tension = sheet.thickness * sheet.G * (l - float(thickness_stretch_squared(J, sheet.G, sheet.Λ)) / l)
+        tension = sheet.thickness * sheet.G * (l - float(thickness_stretch_squared(J, sheet.G, sheet.lame)) / l)
         assert np.allclose(monitors.wrinkling(sheet, u).range(), tension, rtol=1e-12)
         inner = fem.assemble_scalar(fem.form(sheet.virtual_work(u, u)))  # N × (l − 1) per direction and area, 2 sheets
         total = domain.comm.allreduce(inner)
@@ -79,7 +79,7 @@ def test_pressure_on_a_closed_surface_does_the_work_of_its_volume(dim):
 def test_flat_unstressed_start_reaches_the_exact_arc_in_one_step(pressure):
     """A single step from the flat state, whatever its size; error of P2 with 20 cells: measured 2e-6 of the deflection."""
     problem, p = membranes(cells=(20, 20), shift=3.0, contact=False)
-    assert problem.limp
+    assert problem.lacks_stiffness
     (step,) = quasistatic.march(problem, p, to=pressure, increments=1)
     exact = Exact().apart(pressure)
     u = output.probe(problem.u, [0.5, 0.0])

@@ -265,7 +265,7 @@ def test_a_rejected_step_restores_everything():
 
 def test_the_scale_of_epsilon_is_the_stiffness_of_the_bulk():
     problem, _ = beams(order=1)
-    assert 0.01 < problem.pairs[0].ε.normal / (E / (1 - NU**2) / 0.025) < 10
+    assert 0.01 < problem.pairs[0].epsilon.normal / (E / (1 - NU**2) / 0.025) < 10
 
 
 def test_a_point_at_a_kink_of_the_target_does_not_cycle():

@@ -144,5 +144,5 @@ def test_motion(beams, name, value):
     options = {"density": 1e3, "step": 1e-3, "theta": 0.5, "thickness": 1.0} | {name: value}
     motion = named(f"{name} = ", lambda: dynamics.Motion(u, materials.neo_hookean(1e6, 0.3), **options))
     if motion is not None:
-        assert np.isfinite(motion.residual and motion.Δt.value)
+        assert np.isfinite(motion.residual and motion.time_step.value)
         assert MPI.COMM_WORLD.allreduce(1) == MPI.COMM_WORLD.size  # all ranks got here

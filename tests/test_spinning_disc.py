@@ -164,7 +164,7 @@ def test_the_acoustic_tensor():
 
     def stress(F):
         E = (F.T @ F - np.eye(2)) / 2
-        return F @ (law.Λ * np.trace(E) * np.eye(2) + 2 * law.G * E)
+        return F @ (law.lame * np.trace(E) * np.eye(2) + 2 * law.G * E)
 
     def least(F):
         h, eigenvalues = 1e-6, []

@@ -34,11 +34,11 @@ class Isochoric(Hyperelastic):
     """G/2 (J^{−2/3} tr 𝐂 − 3) + K/2 (½(J² − 1) − ln J), the law of Simo and Miehe, as code_aster's; plane strain."""
 
     def energy_of_strain(self, C: Expr) -> Expr:
-        J2, K = ufl.det(C), self.Λ + 2 * self.G / 3
+        J2, K = ufl.det(C), self.lame + 2 * self.G / 3
         return self.G / 2 * (J2 ** (-1 / 3) * (ufl.tr(C) + 1) - 3) + K / 4 * (J2 - 1 - ufl.ln(J2))
 
     def second_piola(self, C: Expr) -> Expr:
-        J2, K, I, inverse = ufl.det(C), self.Λ + 2 * self.G / 3, ufl.Identity(2), ufl.inv(C)
+        J2, K, I, inverse = ufl.det(C), self.lame + 2 * self.G / 3, ufl.Identity(2), ufl.inv(C)
         return self.G * J2 ** (-1 / 3) * (I - (ufl.tr(C) + 1) / 3 * inverse) + K / 2 * (J2 - 1) * inverse
 
     def first_piola(self, F: Expr) -> Expr:
