@@ -8,6 +8,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials
+from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.quasistatic import StepFailure
 from meshes.gmsh_session import distribute
 from meshes.round_bodies import Round, RoundBodies
@@ -107,6 +108,28 @@ def test_two_discs(friction, integration):
 def test_contact_within_one_facet(friction):
     """Facets of 0.4 R, over which normals turn by 23°: neither pressure nor friction gives anything in any step."""
     check(collide(step=2e-3, friction=friction, size=0.04, speed=4.0, to=0.02), 0.15)
+
+
+def test_resumed_with_segments(shared_path):
+    """Saved while in contact and loaded into a new problem, the points of segments that were held included: the energies
+    of the undisturbed run to what Newton leaves."""
+
+    def march(problem, motion, start, ledger=None):
+        steps = dynamics.march(problem, motion, start=start, to=start + 4e-3, ledger=ledger)
+        return [step.ledger for step in steps]
+
+    options = {"step": 1e-3, "size": 0.04, "friction": 0.4, "integration": "segments"}
+    problem, motion, _ = scene(**options)
+    saved = Checkpoint(shared_path, problem, motion)
+    before = march(problem, motion, 0.0)[-1]
+    assert np.linalg.norm(problem.pairs[0].force()) > 0
+    saved.save(4e-3, before)
+    undisturbed = march(problem, motion, 4e-3, before)
+    problem, motion, _ = scene(**options)
+    loaded = Checkpoint(shared_path, problem, motion).load()
+    for one, other in zip(march(problem, motion, loaded.at, loaded.ledger), undisturbed, strict=True):
+        for name in ("kinetic", "strain", "contact"):
+            assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-9 * before.total)
 
 
 def test_two_balls():
