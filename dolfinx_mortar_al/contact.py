@@ -454,20 +454,29 @@ class ContactPair(PairResults):
     def begin_step(self) -> None:
         """A time step starts from the present displacements. Segments follow the bodies on facets without a closed point; on
         the others they stay, as points that move under pressure would give energy (``docs/impact.md``)."""
-        if self.segments is None:
-            return
-        self.target.refresh()
-        self.segments.forget()
-        points = self.segments.follow(self.kinematics.nodes(), self.target.nodes)
-        assert points is not None
-        held = self.integration.sum_by_facet(self.active.closed.astype(float)) > 0
-        self._adopt(self.integration.spliced(points, held))
-        self.evaluate()
+        level = self.kinematics
+        assert isinstance(level, StepLevel)
+        if self.segments is not None:
+            self.target.refresh()
+            self.segments.forget()
+            points = self.segments.follow(level.nodes(), self.target.nodes)
+            assert points is not None
+            held = self.integration.sum_by_facet(self.active.closed.astype(float)) > 0
+            self._adopt(self.integration.spliced(points, held))
+            self.evaluate()
+            if not self.active.guessed:
+                level.excuse(*self._decided())
+        level.begin(*self._decided())
+
+    def _decided(self) -> tuple[Bool, Array]:
+        """(n,) which points are closed; (n,) the penetration (m) from which eq. (1) closes each, multipliers as they are."""
+        return self.state.status != OPEN, np.asarray(-self._normal_multiplier() / self.epsilon.normal)
 
     def _adopt(self, points: IntegrationPoints) -> None:
         """Integrate at these points from now on."""
         origin = self.integration.nearest(points.facet, points.η)
         self.integration = points
+        self.kinematics.offset = self.kinematics.offset[origin]
         before = self._converged
         assert isinstance(before.place, np.ndarray)  # a rigid target has no segments
         self.kinematics.take(points, before.nodes, before.place)
@@ -545,6 +554,8 @@ class ContactPair(PairResults):
         see of it, which acts on at each point by ε_T: forgotten in each step, it would let stuck points creep."""
         law = self.law
         self.kinematics.commit(law.unspent(self.state, self.kinematics.at) if isinstance(law, Coulomb) else None)
+        if isinstance(self.kinematics, StepLevel):
+            self.kinematics.excuse(*self._decided())
         self._remember()
         self.active.guessed = False
 
@@ -556,8 +567,8 @@ class ContactPair(PairResults):
             "guessed": np.array(self.active.guessed),
         }
         if self.segments is None:
-            arrays |= {"λN_hat": self.state.λN_hat.copy(), "facet": history.facet.copy(), "η": history.η.copy()}
-            arrays |= {"ρ": self.kinematics.ρ.copy()}
+            arrays |= {"λN_hat": self._expected(), "facet": history.facet.copy(), "η": history.η.copy()}
+            arrays |= {"ρ": self.kinematics.ρ.copy(), "offset": self.kinematics.offset.copy()}
         else:  # in statics no array may depend on where the segments are
             arrays |= self._state_at_points()
         before = self._converged
@@ -586,6 +597,7 @@ class ContactPair(PairResults):
         if self.segments is None:
             point = TargetPoint(saved["facet"].astype(np.int64), saved["η"].copy())
             self.kinematics.set_history(point, saved["ρ"].copy())
+            self.kinematics.offset = saved["offset"].copy()
         else:
             self.target.refresh()
             self.segments.forget()
@@ -594,6 +606,7 @@ class ContactPair(PairResults):
                 weight = saved["points_weight"].copy()
                 self._adopt(IntegrationPoints(self.facets, facet, η, weight, self.contact.thickness))
                 λN_hat = saved["points_λN_hat"]
+                self.kinematics.offset = saved["points_offset"].copy()
             else:
                 self.follow_segments()
                 λN_hat = λN_hat[self.gauss.nearest(self.integration.facet, self.integration.η)]
@@ -612,8 +625,14 @@ class ContactPair(PairResults):
             "points_facet": points.facet[:k].astype(float),
             "points_η": points.η[:k].copy(),
             "points_weight": points.weight[:k].copy(),
-            "points_λN_hat": self.state.λN_hat[:k].copy(),
+            "points_λN_hat": self._expected()[:k],
+            "points_offset": self.kinematics.offset[:k].copy(),
         }
+
+    def _expected(self) -> Array:
+        """(n,) λ̂_N (Pa), from which the active set is restored: −∞ at points that time steps leave open whatever it says."""
+        λN_hat, held = self.state.λN_hat, isinstance(self.kinematics, StepLevel)
+        return np.where(self.active.closed, λN_hat, -np.inf) if held else λN_hat.copy()
 
     def _λN_hat_at_gauss(self) -> Array:
         """(ng,) λ̂_N (Pa) at the Gauss points, which stay where they are while segments move."""
