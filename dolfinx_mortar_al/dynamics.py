@@ -114,6 +114,7 @@ def march(
     if move is not None:
         validation.check_callable("move", move, "the time")
     validation.check_motions(all_motions, [body.u for body in problem.bodies.bodies])
+    validation.check_thickness(all_motions, problem.pairs)
     start, smallest = validation.number("start", start), validation.number("smallest", smallest, above=0.0, most=1.0)
     to = validation.number("to", to, above=start, must="the end of the march must be")
     if tolerance is not None:
@@ -246,6 +247,7 @@ class _TimeControl(Controller[Step]):
         return replace(
             ledger, kinetic=float(energies[0]), strain=float(energies[1]), contact=stored, momentum=momentum,
             angular_momentum=spin,
+            known="; ".join(dict.fromkeys(motion.known for motion in self.motions)),
         )  # fmt: skip
 
     def _solve(self, time: float, Δt: float) -> Attempt:
