@@ -52,14 +52,14 @@ class LoadWatch:
         changed = not np.array_equal(self._before, self._state(), equal_nan=True)
         self._felt = bool(self._problem.comm.allreduce(changed, MPI.LOR))
         if self._at_once:
-            self.report()
+            self.report(6)
 
-    def report(self) -> None:
-        """Warn, on rank 0, if no setting of the load has changed anything."""
+    def report(self, stacklevel: int = 5) -> None:
+        """Warn, on rank 0, if no setting of the load has changed anything; the march's caller is that many calls away."""
         if not self._felt and self._problem.comm.rank == 0:
             warnings.warn(
                 "load: setting it changes neither the residual nor a prescribed value: does the form have another Constant?",
                 ModelWarning,
-                stacklevel=4,
+                stacklevel=stacklevel,
             )
         self._felt = True

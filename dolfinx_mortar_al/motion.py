@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.internal_work import InternalWork, Material, internal_work
 from dolfinx_mortar_al.materials import cell_measure
 from dolfinx_mortar_al.validation import check_external, check_residual, number, positive_or_ufl
+from dolfinx_mortar_al.versions import whole_form
 
 __all__ = ["Motion"]
 
@@ -80,8 +81,8 @@ class Motion:
             check_residual(self.residual, u, "material")
             self._check_cover()
         work = None if external is None else ufl.replace(external, {w: u - self.old})
-        self._work = None if work is None else fem.form(work)
-        self._internal = [fem.form(part.work) for part in self.parts if part.work is not None]
+        self._work = None if work is None else self._compiled(work)
+        self._internal = [self._compiled(part.work) for part in self.parts if part.work is not None]
         self._done = 0.0  # by internal forces without a stored energy, since the start (J)
         self._energies = self.energy_forms()
         self._momenta = self._momentum_forms()
@@ -121,8 +122,8 @@ class Motion:
         """Every cell must belong to one part: one without mass would have no velocity, one of two parts both masses."""
         count = fem.Function(fem.functionspace(self.u.function_space.mesh, ("DG", 0)))
         one = ufl.TestFunction(count.function_space)
-        share = fem.assemble_vector(fem.form(sum(one * part.dx for part in self.parts))).array
-        whole = fem.assemble_vector(fem.form(one * self.dx)).array
+        share = fem.assemble_vector(self._compiled(sum(one * part.dx for part in self.parts))).array
+        whole = fem.assemble_vector(self._compiled(one * self.dx)).array
         cells = self.u.function_space.mesh.topology.index_map(self.u.function_space.mesh.topology.dim).size_local
         times = np.round(share[:cells] / whole[:cells]).astype(int)
         comm = self.u.function_space.mesh.comm
@@ -168,13 +169,16 @@ class Motion:
         v, zero = self.velocity, fem.Constant(self.u.function_space.mesh, 0.0)
         kinetic = sum(part.depth * ρ / 2 * ufl.inner(v, v) * (dx or part.dx) for part, ρ in pairs)
         strain = sum((zero if part.energy is None else part.energy) * (dx or part.dx) for part, _ in pairs)
-        return fem.form(kinetic), fem.form(strain)
+        return self._compiled(kinetic), self._compiled(strain)
 
     def _momentum_forms(self) -> list[Any]:
         d = len(self.u)
         x, v = ufl.SpatialCoordinate(self.u.function_space.mesh) + self.old, self.velocity
         spin = [x[0] * v[1] - x[1] * v[0]] if d == 2 else list(ufl.cross(x, v))
-        return [fem.form(self._per_mass(c)) for c in (*v, *spin)]
+        return [self._compiled(self._per_mass(c)) for c in (*v, *spin)]
+
+    def _compiled(self, form: Any) -> fem.Form:
+        return fem.form(whole_form(form, self.u.function_space.mesh))
 
     def integral(self, form: Any) -> float:
         """Value of a compiled scalar form (collective)."""
@@ -193,14 +197,14 @@ class Motion:
     def mass(self) -> float:
         """Mass (kg), collective."""
         one = fem.Constant(self.u.function_space.mesh, 1.0)
-        return self.integral(fem.form(self._per_mass(one)))
+        return self.integral(self._compiled(self._per_mass(one)))
 
     @cached_property
     def mass_form(self) -> fem.Form:
         """The mass (kg) as a compiled bilinear form."""
         V = self.u.function_space
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-        return fem.form(self._per_mass(ufl.inner(u, v)))
+        return self._compiled(self._per_mass(ufl.inner(u, v)))
 
     def momenta(self) -> Array:
         """Momentum (N s, gdim) and angular momentum about the origin (N m s, 1 or 3), collective."""

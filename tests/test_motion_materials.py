@@ -161,3 +161,14 @@ def test_what_cannot_move():
     motion = dynamics.Motion(u, law, density=DENSITY, step=1e-3, thickness=0.02)
     with pytest.raises(ValueError, match=r"thickness = 0\.02 of motions\[0\], but 1 of the contact 'contact'"):
         fall(motion, facets, 1.0)
+
+
+def test_parts_of_other_quadrature_lose_nothing():
+    """Equal integrands on two parts with measures of other degrees: mass, momentum and energy of both."""
+    u, dx, _ = square()
+    law = materials.saint_venant_kirchhoff(E, NU)
+    motion = dynamics.Motion(u, [(law, dx(0)), (law, dx(1, degree=4))], density=DENSITY, step=1e-3)
+    motion.velocity.interpolate(lambda x: np.stack([2.0 + 0 * x[0], 0 * x[0]]))
+    assert motion.mass == pytest.approx(DENSITY, rel=1e-12)
+    assert motion.kinetic_energy() == pytest.approx(2 * DENSITY, rel=1e-12)
+    assert motion.momenta()[0] == pytest.approx(2 * DENSITY, rel=1e-12)
