@@ -66,7 +66,9 @@ def render(scene: Mapping[str, Any], path: str) -> None:
         opacity = min(1.0, 3 * float(scene["opacity"]))
         plotter.add_mesh(edges, color=EDGES, line_width=max(THIN * height, 1.0), opacity=opacity)
     if str(scene["title"]):
-        plotter.add_text(str(scene["title"]), position="upper_edge", font_size=2 * letters // 3, color=EDGES)
+        plotter.add_text(
+            str(scene["title"]), position=(0.03, 0.93), viewport=True, font_size=2 * letters // 3, color=EDGES
+        )
     towards, up = scene["camera"]
     _look(plotter, scene["points"], towards, up, width / height)
     plotter.enable_anti_aliasing("ssaa")

@@ -134,7 +134,7 @@ def test_reaction_on_a_roller_bears_the_load():
 def punch(comm=MPI.COMM_WORLD, dim=2):
     """A block, every node of which is prescribed, pressed and dragged on another that is clamped: (problem, its
     condition, the clamp)."""
-    built = TwoBeams(height=0.5, width=0.5, along=(3, 4), across=1, through=1, dim=dim)
+    built = TwoBeams(height=0.5, width=0.5, along=(6, 3), across=1, through=1, dim=dim)
     domain, _, tags = built.create(comm)
     V = fem.functionspace(domain, ("Lagrange", 1, (dim,)))
     u, motion = fem.Function(V), fem.Constant(domain, np.zeros(dim))
@@ -287,19 +287,18 @@ def test_paraview_has_the_contactor(scene, shared_path):
 
 
 @pytest.mark.skipif(not HAS_PYVISTA, reason="no PyVista here")
-@pytest.mark.parametrize("colour", ["displacement", "pressure"])
-def test_a_picture_shows_the_bodies(colour, shared_path):
+def test_a_picture_shows_the_bodies(shared_path):
     """A PNG of the size asked for, with colours of the scale and plain ones; on any number of ranks."""
     from matplotlib.image import imread
 
     problem, _ = beams(order=2, mesh={"dim": 3, "along": (4, 4), "across": 1, "through": 1})
     problem.u.interpolate(lambda x: np.stack([0 * x[0], -0.3 * x[0] ** 2, 0 * x[0]]))
-    output.picture(problem, shared_path / "new" / "x.png", colour, size=(300, 200), title="bent")
+    output.picture(problem, shared_path / "new" / "x.png", size=(300, 200), title="bent")
     problem.comm.Barrier()
     image = imread(shared_path / "new" / "x.png")[..., :3]
     assert image.shape == (200, 300, 3)
     assert 0.05 < np.mean(image.min(axis=2) < 0.99) < 0.9  # drawn upon, not filled
-    assert np.any(np.ptp(image, axis=2) > 0.4) == (colour == "displacement") or colour == "pressure"
+    assert np.any(np.ptp(image, axis=2) > 0.4)
 
 
 def test_a_picture_that_cannot_be_is_refused(shared_path):
