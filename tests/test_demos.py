@@ -131,8 +131,8 @@ def test_solid_cells_say_the_dimension_of_space(shared_path):
 
 
 def test_tutorial_ends_in_sliding(monkeypatch, shared_path):
-    """On a coarse mesh: the whole sole slides at last, and the base is dragged by μ = 0.4 of what it bears, to a tenth: pressure
-    on the sole's inclined edge has a part along the drag. All files are there."""
+    """On a coarse mesh: the whole sole slides at last, and the base is dragged by μ = 0.4 of what it bears, to a tenth, as
+    pressure on the sole's inclined edge has a part along the drag. All files are there."""
     if importlib.util.find_spec("pyvista") is None:
         monkeypatch.setattr(tutorial.output, "picture", lambda problem, path, *_, **__: path.touch())
     drag, press = tutorial.main(shared_path, size=0.008)
