@@ -95,7 +95,9 @@ def draw(history: output.History, states: list, directory: Path) -> None:
     axes[-1].plot(100 * history.column("closing"), history.column("force"), ".-")
     closed = history.column("bore_area") > 0
     if closed.any():
-        axes[-1].axvline(100 * history.column("closing")[closed][0], color="0.7", linestyle="--", label="the bore touches")
+        axes[-1].axvline(
+            100 * history.column("closing")[closed][0], color="0.7", linestyle="--", label="the bore touches"
+        )
         axes[-1].legend()
     axes[-1].set(xlabel="d (cm)", ylabel="force of a plate (N per m)", yscale="log", title="force")
     figure.savefig(directory / "figure6.png", dpi=150)

@@ -648,9 +648,9 @@ class ContactPair(PairResults):
         """∫ r·N1 Λ* dS₀, eq. (4), as :meth:`Blocks.multiplier_residual`."""
         return self.blocks.multiplier_residual(self.state)
 
-    def body_residual(self) -> list[tuple[Index, Array]]:
+    def body_residual(self, *, reactions: bool = False) -> list[tuple[Index, Array]]:
         """−∫ t·(N1 U1* − N2(η) U2*) dS₀, eq. (4), as :meth:`Blocks.body_residual`."""
-        return self.blocks.body_residual(self.state, self.kinematics)
+        return self.blocks.body_residual(self.state, self.kinematics, reactions=reactions)
 
     def _act(self) -> Index:
         """Points whose derivative is not that of an open point with ε_N = ε_T, or a ν that is held."""

@@ -129,6 +129,18 @@ class ContactProblem:
         self.force_reference: float | None = None
         self.gap_floor = [2e-15 * diameter * pair.area for pair in self.pairs]
 
+    def pair(self, name: str) -> ContactPair:
+        """The pair of a name.
+
+        Raises:
+            ValueError: if there is none, with the names there are.
+        """
+        for pair in self.pairs:
+            if pair.name == name:
+                return pair
+        known = ", ".join(repr(pair.name) for pair in self.pairs) or "none: the problem has no contacts"
+        raise ValueError(f"name = {name!r}: no contact pair is called that; known are {known}")
+
     def _pieces_of(self, pair: ContactPair) -> NDArray[np.bool_]:
         """(pieces,) which connected pieces a pair's forces act on (collective)."""
         touched = np.zeros(self.bodies.pieces, dtype=np.int32)
@@ -300,6 +312,18 @@ class ContactProblem:
         for pair in self.pairs:
             pair.apply_law()
         self.add_contact(f)
+
+    def support_forces(self) -> list[Array]:
+        """Of each body (owned dofs,) the residual in the state last solved for, with what supports bear in the
+        prescribed rows (N), collective. In time steps it is the mean over the last one."""
+        total = self.bodies.layout.vector()
+        total.array[:] = self.bodies.forces(again=self.force_reference is None)
+        total.assemble()
+        for pair in self.pairs:
+            for blocks, values in pair.body_residual(reactions=True):
+                insert_vector(total, blocks, values)
+        total.assemble()
+        return self.bodies.split(total.array_r)
 
     def masses(self, forms: Sequence[Any]) -> tuple[PETSc.Mat, list[fem.Function]]:
         """The bodies' mass matrix from one bilinear form per body, and its diagonal on each."""
