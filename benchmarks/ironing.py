@@ -29,7 +29,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -157,24 +157,11 @@ def build(scene: Scene, options: dict[str, Any]) -> tuple[ContactProblem, fem.Co
 
 def iron(scene: Scene, problem: ContactProblem, top: fem.Constant) -> Iterator[tuple[str, quasistatic.Step]]:
     """March through pressing and dragging: what is going on, and each step, whose load goes from 0 to 1 in either."""
-    pressed = np.zeros(scene.dim)
-    pressed[-1] = -(DEPTH[scene.dim] if scene.depth is None else scene.depth)
-    dragged = np.array([*DRAG[scene.dim], 0.0])
-
-    def press(share: float) -> None:
-        top.value[:] = share * pressed
-
-    def drag(share: float) -> None:
-        top.value[:] = pressed + share * dragged
-
-    marches: list[tuple[str, Callable[[float], None], int]] = [
-        ("pressing", press, scene.steps[0]),
-        ("dragging", drag, scene.steps[1]),
-    ]
-    for doing, load, increments in marches:
-        if increments:
-            for step in quasistatic.march(problem, load, to=1.0, increments=increments, start=0.0):
-                yield doing, step
+    down = -(DEPTH[scene.dim] if scene.depth is None else scene.depth)
+    ends = ((0.0,) * (scene.dim - 1) + (down,), (*DRAG[scene.dim], down))
+    stages = [quasistatic.Stage(top, to, n) for to, n in zip(ends, scene.steps, strict=True) if n]
+    for step in quasistatic.march(problem, stages):
+        yield ("pressing", "dragging")[step.stage], step
 
 
 def measure(scene: Scene, options: dict[str, Any], alarm: Alarm) -> tuple[dict[str, Any], ContactProblem]:

@@ -1,10 +1,10 @@
 """Save a run after a step, and go on after it was interrupted, at whatever moment.
 
 A checkpoint has all that the next step depends on: displacements, velocities, multipliers, slip histories, contact states,
-poses of obstacles, time and ledger. Each rank writes a file of its own under a temporary name and renames it; the set is
-whole when the files of all ranks carry the same token. Two sets alternate, so that a whole one is always there. A checkpoint
-is loaded only into the problem that it was made with, as their fingerprints say (`fingerprint.py`), and by as many ranks:
-meshes are partitioned alike, and the numbers are those there were.
+poses of obstacles, loads, time and ledger. Each rank writes a file of its own under a temporary name and renames it; the set
+is whole when all ranks' files carry the same token. Two sets alternate, so that a whole one is always there. It goes
+only into the problem that it was made with, as their fingerprints say (`fingerprint.py`), and by as many ranks: meshes are
+partitioned alike, and the numbers are those there were.
 """
 
 from __future__ import annotations
@@ -62,6 +62,9 @@ class Checkpoint:
         self._directory, self._problem = Path(directory), problem
         self._motions = [motions] if isinstance(motions, Motion) else list(motions)
         problem.members |= {f"motion{k}": motion for k, motion in enumerate(self._motions)}
+        if self._motions:  # what a step keeps at points is part of the state that is loaded
+            for pair in problem.pairs:
+                pair.use_steps()
         self._slot, self._serial = 0, 0
         on_root(problem.comm, lambda: self._directory.mkdir(parents=True, exist_ok=True))
 
@@ -218,8 +221,10 @@ class Checkpoint:
 
 
 def _shapes(arrays: dict[str, Array]) -> dict[str, tuple[int, ...]]:
-    """The shapes that two states of a problem have in common: the number of segments' points is not the problem's."""
-    return {name: a.shape[1:] if ".points_" in name else a.shape for name, a in arrays.items()}
+    """The shapes that two states of a problem have in common: the number of segments' points is not the problem's, and loads
+    come with the marches that move them."""
+    own = {name: a for name, a in arrays.items() if not name.startswith("loads.")}
+    return {name: a.shape[1:] if ".points_" in name else a.shape for name, a in own.items()}
 
 
 def _whole(headers: Sequence[dict[str, Any] | None]) -> bool:

@@ -48,7 +48,9 @@ class DriftMonitor:
         held = np.any([some.reshape(-1, d).any(axis=0) for some in self._prescribed], axis=0)
         held = np.asarray(comm.allreduce(held.astype(int)) > 0)
         self._any_prescribed = bool(held.any())
-        loaded = any(m.external is not None for m in motions) or any(p.target.is_rigid for p in problem.pairs)
+        loaded = any(m.external is not None or m.has_forms for m in motions) or any(
+            p.target.is_rigid for p in problem.pairs
+        )
         self._free = ~held & (not loaded)
         reach = [np.abs(body.mesh.geometry.x).max(initial=0.0) for body in problem.bodies.bodies]
         self._reach = comm.allreduce(float(max(reach)), MPI.MAX)

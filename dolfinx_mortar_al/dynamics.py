@@ -13,53 +13,51 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from time import perf_counter
 
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al import validation
+from dolfinx_mortar_al import stepping, validation
 from dolfinx_mortar_al.drift import DriftMonitor
 from dolfinx_mortar_al.ledger import Ledger
-from dolfinx_mortar_al.monitors import Finding, Reporter
+from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.newton import NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot
-from dolfinx_mortar_al.quasistatic import StepFailure
 from dolfinx_mortar_al.ranks import agreed
+from dolfinx_mortar_al.stepping import Attempt, Bar, Controller, Event, StepFailure
 from dolfinx_mortar_al.velocity_projection import VelocityProjection
 
-__all__ = ["Ledger", "Motion", "Step", "march"]
+__all__ = ["Ledger", "Motion", "Step", "StepFailure", "march"]
 
 Array = NDArray[np.float64]
 
-EASY = 8  # Newton iterations up to which a step that was cut may grow again
 RTOL = 1e-11  # of Newton: what is left over shows up in the ledger
 GAIN = (
     1e-8  # of the total energy that contact may give in a step: what Newton's tolerance leaves, a thousand times over
 )
-GROWTH = 2.0  # of Δt from one step to the next at most, where the march chooses it
 SAFETY = 0.9  # of the Δt that would just meet the tolerance
 FAR = 2.0  # times the tolerance beyond which a step is repeated
 
 
-@dataclass(frozen=True)
-class Step:
-    """A converged step: time (s), Δt, Newton iterations (rejected trials included), rejected trials, wall time (s), whether
-    the time is one of the asked-for ones, the ledger, the mean contact force on each contactor (N), the largest penetration
-    of a closed point (m), and what the monitors found, that of a drift among them."""
+@dataclass(frozen=True, kw_only=True)
+class Step(stepping.Step):
+    """A converged step in time.
+
+    Attributes:
+        time: reached (s).
+        step: Δt (s).
+        ledger: energies and momenta.
+        forces: the mean contact force of the step on each contactor (N).
+        penetration: the largest one of a closed point (m).
+    """
 
     time: float
     step: float
-    iterations: int
-    rejected: int
-    wall_time: float
-    nominal: bool
     ledger: Ledger
     forces: tuple[Array, ...]
     penetration: float
-    findings: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,6 +82,8 @@ def march(
     solver: NewtonSolver | None = None,
     smallest: float = 2.0**-10,
     ledger: Ledger | None = None,
+    until: Callable[[], bool] | None = None,
+    progress: bool = False,
 ) -> Iterator[Step]:
     """Move bodies from `start` to `to`, with steps of the motions' Δt; yields each converged step.
 
@@ -96,21 +96,25 @@ def march(
         motions: one per displacement of the problem.
         to, start: final and initial time (s).
         move: sets all that depends on time: poses of obstacles, Dirichlet values.
-        tolerance: local error of the displacements (m, root mean square) by which Δt is chosen, never longer than the
-            motions' own; by default it is theirs.
+        tolerance: local error of the displacements (m, root mean square over the body where it is largest) by which Δt is
+            chosen, never longer than the motions' own; by default it is theirs.
         solver: default one with tolerance RTOL.
         smallest: Δt, relative to the motions' own, below which the march gives up.
         ledger: to go on with, from an earlier march.
+        until: an event of the state at the end of a step, velocities included, the same on every rank. The march ends with
+            the first step where it holds, after closing in on it down to 1/64 of the motions' Δt.
+        progress: show a progress bar with time, iterations and contact state (rank 0, standard error).
 
     Raises:
-        ValueError: `to` not after `start`, a tolerance that is not positive, or motions other than those of the problem, one
-            for each displacement.
-        StepFailure: on every rank.
+        ValueError: at the call: `to` not after `start`, a tolerance that is not positive, or motions other than those of the
+            problem, one for each displacement.
+        StepFailure: on every rank, in a step.
     """
     all_motions = validation.listed("motions", motions, Motion, "a Motion")
     if move is not None:
         validation.check_callable("move", move, "the time")
     validation.check_motions(all_motions, [body.u for body in problem.bodies.bodies])
+    validation.check_thickness(all_motions, problem.pairs)
     start, smallest = validation.number("start", start), validation.number("smallest", smallest, above=0.0, most=1.0)
     to = validation.number("to", to, above=start, must="the end of the march must be")
     if tolerance is not None:
@@ -118,58 +122,121 @@ def march(
     said = (start, to, tolerance, [float(motion.time_step.value) for motion in all_motions])
     agreed(problem.comm, "start, to, tolerance, Δt", said)
     problem.members |= {f"motion{k}": motion for k, motion in enumerate(all_motions)}
-    stepper = _Stepper(problem, all_motions, move, solver, ledger)
-    validation.check_kinetic(stepper.ledger.kinetic)
-    longest = float(stepper.motions[0].time_step.value)
-    steps = int(np.ceil((to - start) / longest - 1e-9))
-    time, Δt, number = start, longest, 1
-    while number <= steps:
-        mark = min(start + number * longest, to)
-        parts = max(int(np.ceil((mark - time) / Δt - 1e-9)), 1)  # equal ones: no tiny step is left over
-        trial, nominal = (mark - time) / parts, parts == 1
-        easy = stepper.try_step(time, trial)
-        share = 0.0 if tolerance is None or not easy else stepper.local_error(trial) / tolerance
-        if not easy or share > FAR:
-            Δt = trial / 2 if not easy else trial * max(0.2, SAFETY * share ** (-1 / 3))
-            stepper.undo(time, give_up=Δt < smallest * longest)
-            continue
-        time = mark if nominal else time + trial
-        if tolerance is not None:
-            Δt = min(trial * min(GROWTH, SAFETY * max(share, 1e-12) ** (-1 / 3)), longest)
-        elif stepper.easy:
-            Δt = min(GROWTH * Δt, longest)
-        number += int(nominal)
-        yield stepper.accept(time, trial, nominal)
+    θ = {motion.theta for motion in all_motions}
+    if len(θ) > 1:
+        raise ValueError(f"theta = {sorted(θ)}: all motions of a problem need the same θ")
+    event, solver = Event(problem.comm, until), stepping.solver_of(problem, solver, rtol=RTOL)
+    validation.check_kinetic(sum(motion.kinetic_energy() for motion in all_motions))
+    way = _Way(start, to, float(all_motions[0].time_step.value), tolerance, smallest)
+    return _steps(_TimeControl(problem, all_motions, way, move or _stay, solver, ledger, event), progress)
 
 
-class _Stepper:
-    """One time step after the other: predict, solve, keep the books or undo."""
+def _steps(control: _TimeControl, progress: bool) -> Iterator[Step]:
+    try:
+        with Bar(control.problem, progress) as bar:
+            yield from stepping.run(control, bar)
+    finally:
+        control.leave()
+
+
+@dataclass(frozen=True)
+class _Way:
+    """From `start` to `to` (s): the longest step (s), the tolerance (m), and the smallest step as a share of the longest."""
+
+    start: float
+    to: float
+    longest: float
+    tolerance: float | None
+    smallest: float
+
+    @property
+    def steps(self) -> int:
+        """Times that are always met."""
+        return int(np.ceil((self.to - self.start) / self.longest - 1e-9))
+
+
+def _stay(time: float) -> None:
+    """Nothing depends on time."""
+
+
+class _TimeControl(Controller[Step]):
+    """Time moves: predict, solve, judge, keep the books. Lengths are shares of the motions' Δt, `longest`."""
 
     def __init__(
         self,
         problem: ContactProblem,
         motions: list[Motion],
-        move: Callable[[float], None] | None,
-        solver: NewtonSolver | None,
+        way: _Way,
+        move: Callable[[float], None],
+        solver: NewtonSolver,
         ledger: Ledger | None,
+        event: Event,
     ) -> None:
-        self.problem, self.motions = problem, motions
-        self.move: Callable[[float], None] = move if move is not None else lambda t: None
-        self.solver = NewtonSolver(problem, rtol=RTOL) if solver is None else solver
-        θ = {motion.theta for motion in motions}
-        if len(θ) > 1:
-            raise ValueError(f"theta = {sorted(θ)}: all motions of a problem need the same θ")
-        self.theta = θ.pop()
+        self.problem, self.motions, self.move, self.solver = problem, motions, move, solver
+        self._way, self.smallest, self._event, self._over = way, way.smallest, event, False
         self.levels = [pair.use_steps() for pair in problem.pairs]
         self._projection = VelocityProjection(problem, motions)
-        problem.evaluate()
-        now = self._with_state(Ledger(0.0, 0.0) if ledger is None else ledger)
-        self.ledger = now if ledger is None else ledger
-        self._drift = DriftMonitor(problem, motions, now)
+        self._given = ledger
         self._rate: Array | None = None
         self._next_rate: Array | None = None
-        self._reporter = Reporter(problem.comm.rank)
-        self._clock, self.rejected, self.iterations = perf_counter(), 0, 0
+        self._time, self._number = way.start, 1
+
+    def begin(self) -> None:
+        self.problem.evaluate()
+        now = self._with_state(Ledger(0.0, 0.0) if self._given is None else self._given)
+        self.ledger = now if self._given is None else self._given
+        self._drift = DriftMonitor(self.problem, self.motions, now)
+
+    def leave(self) -> None:
+        """The motions' Δt is again what it was."""
+        for motion in self.motions:
+            motion.time_step.value = self._way.longest
+
+    # ---------------------------------------------------------------- the way
+
+    @property
+    def finished(self) -> bool:
+        return self._over or self._number > self._way.steps
+
+    @property
+    def share(self) -> float:
+        return 1.0 if self.finished else (self._time - self._way.start) / (self._way.to - self._way.start)
+
+    def at(self, tried: bool = False) -> str:
+        return f"time {self._end if tried else self._time:.6g} s"
+
+    def clip(self, size: float) -> tuple[float, bool]:
+        self._mark = min(self._way.start + self._number * self._way.longest, self._way.to)
+        left = self._mark - self._time
+        parts = max(int(np.ceil(left / (size * self._way.longest) - 1e-9)), 1)  # equal ones: no tiny step is left over
+        self._trial = left / parts
+        return self._trial / self._way.longest, parts == 1
+
+    def event(self) -> bool:
+        self._over = self._event()
+        return self._over
+
+    def grown(self, size: float, length: float, attempt: Attempt) -> float:
+        if self._way.tolerance is None:
+            return super().grown(size, length, attempt)
+        return min(length * min(stepping.GROWTH, SAFETY * max(self._error, 1e-12) ** (-1 / 3)), 1.0)
+
+    def failure(self, reason: str) -> str:
+        return f"no convergence after {self.at()} with the smallest step: {reason}"
+
+    # ---------------------------------------------------------------- a step
+
+    def attempt(self, length: float, nominal: bool) -> Attempt:
+        self._end = self._mark if nominal else self._time + self._trial
+        attempt = self._solve(self._time, self._trial)
+        if attempt.good and self._way.tolerance is not None:
+            self._error = self._local_error(self._trial) / self._way.tolerance
+            if self._error > FAR:
+                attempt.good, attempt.cut = False, max(0.2, SAFETY * self._error ** (-1 / 3))
+                attempt.message = f"a local error of {self._error:.2g} times the tolerance"
+        if attempt.good:
+            self._settle()
+        return attempt
 
     def _with_state(self, ledger: Ledger) -> Ledger:
         energies = np.sum([motion.energies() for motion in self.motions], axis=0)
@@ -180,10 +247,11 @@ class _Stepper:
         return replace(
             ledger, kinetic=float(energies[0]), strain=float(energies[1]), contact=stored, momentum=momentum,
             angular_momentum=spin,
+            known="; ".join(dict.fromkeys(motion.known for motion in self.motions)),
         )  # fmt: skip
 
-    def try_step(self, time: float, Δt: float) -> bool:
-        """Solve for the state at time + Δt; whether that is a good one."""
+    def _solve(self, time: float, Δt: float) -> Attempt:
+        """Solve for the state at time + Δt, and judge it."""
         problem = self.problem
         self._before: Snapshot = problem.snapshot()
         for motion in self.motions:
@@ -195,9 +263,8 @@ class _Stepper:
         for motion in self.motions:
             motion.undo()
         self.move(time)
-        for pair, level in zip(self.problem.pairs, self.levels, strict=True):
+        for pair in self.problem.pairs:
             pair.begin_step()
-            level.begin()
         self.move(time + Δt)
         for motion in self.motions:
             motion.guess()
@@ -206,15 +273,14 @@ class _Stepper:
                 motion.undo()
         problem.force_reference = self._inertia_scale(Δt)
         result = self.solver.solve()
-        self.iterations += result.iterations
-        self.easy, self._message = result.iterations <= EASY, result.message
-        self._findings = problem.findings() if result.converged else []
-        return result.converged and self._is_sound()
+        findings = problem.findings() if result.converged else []
+        faults = self._faults(findings) if result.converged else []
+        return Attempt(result.converged and not faults, result, "; ".join(faults) or result.message, findings)
 
-    def _is_sound(self) -> bool:
-        """Whether a converged state is one: no fatal finding, no energy from contact, nothing passed through."""
+    def _faults(self, findings: list[Finding]) -> list[str]:
+        """What is wrong with a converged state: fatal findings, energy from contact, points that have passed through."""
         self._work = self._contact_work()
-        reasons = [str(f) for f in self._findings if f.fatal]
+        reasons = [str(f) for f in findings if f.fatal]
         allowed = GAIN * max(self.ledger.total + self.ledger.impact_loss + self.ledger.friction_dissipation, 0.0)
         gain = max(-self._work.lost, self._work.tangential)
         if gain > allowed:
@@ -228,8 +294,7 @@ class _Stepper:
                     f"{pair.name}: {len(X)} points pass through the target in this step, the first at X = {place}; take a "
                     "smaller one"
                 )
-        self._message = "; ".join(reasons) or self._message
-        return not reasons
+        return reasons
 
     def _contact_work(self) -> _Work:
         problem, stored = self.problem, 0.0
@@ -241,16 +306,17 @@ class _Stepper:
         normal, tangential, by_obstacles = sums.tolist()
         return _Work(normal, tangential, by_obstacles, self.ledger.contact - stored - normal)
 
-    def local_error(self, Δt: float) -> float:
-        """What the mid-point rule leaves out in this step, Δt³ 𝐮‴/12, as root mean square over all components (m); for Δt 𝐮‴
-        the jump of the mean acceleration from the last step (zero at the start) to this one."""
+    def _local_error(self, Δt: float) -> float:
+        """What the mid-point rule leaves out in this step, Δt³ 𝐮‴/12 (m): the root mean square over the components of each
+        connected body, of which the largest, so that those at rest do not hide what a small one does. For Δt 𝐮‴ the jump of
+        the mean acceleration from the last step (zero at the start) to this one."""
         new = [2 / Δt**2 * (m.u.x.array - m.old.x.array) - 2 / Δt * m.velocity.x.array for m in self.motions]
         sizes = [m.u.function_space.dofmap.index_map.size_local * self.problem.gdim for m in self.motions]
         rate = np.concatenate([a[:n] for a, n in zip(new, sizes, strict=True)])
         jump = rate if self._rate is None else rate - self._rate  # a start without acceleration may be an impact
         self._next_rate = rate
-        square, count = self.problem.comm.allreduce(np.array([float(jump @ jump), float(len(jump))]))
-        return float(Δt**2 / 12 * np.sqrt(square / max(count, 1.0)))
+        bodies = self.problem.bodies
+        return float(Δt**2 / 12 * (bodies.norms(jump) / bodies.norms(np.ones(len(jump)))).max())
 
     def _inertia_scale(self, Δt: float) -> float:
         """Norm of nodal momenta per Δt (N), roughly: the size of forces that a step of this length resolves."""
@@ -258,41 +324,39 @@ class _Stepper:
         largest = max(comm.allreduce(float(np.abs(m.velocity.x.array).max(initial=0.0)), MPI.MAX) for m in self.motions)
         return 2 * kinetic / (largest * Δt) / np.sqrt(self.problem.bodies.layout.total) if largest > 0 else 0.0
 
-    def undo(self, time: float, give_up: bool) -> None:
-        """Back to the last accepted state; `give_up` ends the run with the reason."""
+    def undo(self) -> None:
+        self._over = False
+        self.problem.restore(self._before)
         for motion in self.motions:
             motion.undo()
-        self.problem.restore(self._before)
-        self.move(time)
-        self.rejected += 1
-        if give_up:
-            raise StepFailure(f"no convergence after time {time:.6g} s with the smallest step: {self._message}")
+        self.move(self._time)
 
-    def accept(self, time: float, Δt: float, nominal: bool) -> Step:
-        """Velocities, ledger, and what the step reports."""
-        problem, last, done = self.problem, self.ledger, self._work
+    def _settle(self) -> None:
+        """The state at the end of the step: velocities that contact allows, and its ledger."""
+        problem, last, done, Δt = self.problem, self.ledger, self._work, self._trial
         work = sum(motion.external_work() for motion in self.motions) + done.by_obstacles
         for motion in self.motions:
             motion.accept()
-        self._rate = self._next_rate
         settled = self._projection.apply(Δt, -done.tangential)
-        forces = tuple(pair.force() + i / Δt for pair, i in zip(problem.pairs, settled.impulses, strict=True))
+        self._forces = tuple(pair.force() + i / Δt for pair, i in zip(problem.pairs, settled.impulses, strict=True))
         problem.commit()
         now = self._with_state(last)
         work, loss = work + settled.by_obstacles, done.lost + settled.lost
         friction = settled.friction - done.tangential
-        self.ledger = replace(
+        self._next_ledger = replace(
             now,
             external_work=last.external_work + work,
             friction_dissipation=last.friction_dissipation + friction,
             impact_loss=last.impact_loss + loss,
             energy_defect=last.energy_defect + now.total - last.total - work + friction + loss,
         )
-        seconds = perf_counter() - self._clock
-        depths = [pair.penetration() for pair in problem.pairs]
-        found = (*self._findings, *self._drift.look(self.ledger, depths))
-        deepest = max(depths, default=0.0)
-        step = Step(time, Δt, self.iterations, self.rejected, seconds, nominal, self.ledger, forces, deepest, found)
-        self._reporter.report(found, f"time {time:.6g} s")
-        self.rejected, self.iterations, self._clock = 0, 0, perf_counter()
-        return step
+
+    def accept(self, done: stepping.Step) -> Step:
+        self._time, self._rate, self.ledger = self._end, self._next_rate, self._next_ledger
+        self._number += int(done.nominal)
+        depths = [pair.penetration() for pair in self.problem.pairs]
+        said = vars(done) | {"findings": (*done.findings, *self._drift.look(self.ledger, depths))}
+        return Step(
+            **said, time=self._time, step=self._trial, ledger=self.ledger, forces=self._forces,
+            penetration=max(depths, default=0.0),
+        )  # fmt: skip

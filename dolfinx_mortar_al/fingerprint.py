@@ -41,7 +41,7 @@ def fingerprint(problem: ContactProblem, motions: Sequence[Motion]) -> Fingerpri
         mine |= {f"{what} of pair {pair.name}": said for what, said in _of_pair(pair).items()}
     for k, motion in enumerate(motions):
         mine |= {
-            f"density of motion {k}": str(constant_value(motion.density)),
+            f"density of motion {k}": str([constant_value(ρ) for ρ in motion.densities]),
             f"theta of motion {k}": repr(motion.theta),
         }
     everywhere = problem.comm.allgather(mine)

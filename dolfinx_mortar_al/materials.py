@@ -17,9 +17,11 @@ from ufl.core.expr import Expr
 from dolfinx_mortar_al.validation import check_law, constant_value, number, positive_or_ufl
 
 __all__ = [
+    "SERIES",
     "Hyperelastic",
     "NeoHookean",
     "SaintVenantKirchhoff",
+    "artanh_rest",
     "cell_measure",
     "deformation_gradient",
     "lame",
@@ -42,6 +44,12 @@ def cell_measure(u: fem.Function, dx: ufl.Measure | None = None) -> ufl.Measure:
     V = u.function_space
     dx = ufl.Measure("dx", V.mesh) if dx is None else dx
     return dx if "quadrature_degree" in dx.metadata() else dx(degree=2 * V.ufl_element().embedded_subdegree)
+
+
+def artanh_rest(z: Expr) -> Expr:
+    """artanh z − z, by its series where that would cancel."""
+    series = z**3 * sum(z ** (2 * k) / (2 * k + 3) for k in range(6))
+    return ufl.conditional(ufl.lt(abs(z), SERIES), series, ufl.ln((1 + z) / (1 - z)) / 2 - z)
 
 
 def lame(E: Any, ν: Any) -> tuple[Any, Any]:
@@ -173,9 +181,7 @@ class NeoHookean(Hyperelastic):
         I3 = ufl.det(A) if C0.ufl_shape[0] == 3 else 0.0
         even = 1 + I2 / 4
         z = (I1 / 2 + I3 / 8) / even
-        series = z**3 * sum(z ** (2 * k) / (2 * k + 3) for k in range(6))  # artanh z − z
-        bend = ufl.conditional(ufl.lt(abs(z), SERIES), series, ufl.ln((1 + z) / (1 - z)) / 2 - z)
-        miss = I3 / 4 - z * I2 / 2 + 2 * bend  # Δ ln det 𝐂 − I₁
+        miss = I3 / 4 - z * I2 / 2 + 2 * artanh_rest(z)  # Δ ln det 𝐂 − I₁
         mean = ufl.ln(even**2 * (1 - z**2)) / 2  # of ln det 𝐂 at both ends, less ln det 𝐂̄
         return (self.lame * ufl.ln(ufl.det(C)) / 4 - self.G / 2) * miss + self.lame / 4 * mean * (I1 + miss)
 

@@ -8,13 +8,14 @@ which is eliminated here; a curve is in plane strain along z (section 4.2 of the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import factorial
 from typing import Any
 
 import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinx_mortar_al.materials import cell_measure, lame
+from dolfinx_mortar_al.materials import SERIES, artanh_rest, cell_measure, lame
 from dolfinx_mortar_al.validation import check_law, constant_value, positive_or_ufl, vector
 
 __all__ = [
@@ -29,6 +30,8 @@ __all__ = [
 HALLEY = (
     4  # iterations for the thickness: round-off for J from e⁻⁴ to e⁷ and ν from 0 to 0.4999 (tests/test_membrane.py)
 )
+
+LEAST_CHANGE = 1e-8  # of 𝐂 in a step: below it what makes the stress of a step exact, quadratic in it, is round-off
 
 
 def tangent_gradient(u: fem.Function) -> Expr:
@@ -120,6 +123,55 @@ class NeoHookeanMembrane:
         F_inv_T = F / JJ if tdim == 1 else (ufl.tr(C) * F - F * C) / JJ  # 𝐂⁻¹ by Cayley–Hamilton in the plane
         return self.G * (F - self.squared_thickness_stretch(ufl.sqrt(JJ)) * F_inv_T)
 
+    def energy(self, F: Expr, tdim: int) -> Expr:
+        """w in J/m³ from :func:`tangent_gradient`, at the thickness where it is least."""
+        C = F.T * F
+        JJ = _squared_area_stretch(C, tdim)
+        x = self.squared_thickness_stretch(ufl.sqrt(JJ))
+        lnI3 = ufl.ln(JJ * x)
+        return self.G / 2 * (ufl.tr(C) + x - tdim - 1 - lnI3) + self.lame / 8 * lnI3**2
+
+    def mean_first_piola(self, F0: Expr, F1: Expr, tdim: int) -> Expr:
+        """The stress of a step from 𝐅₀ to 𝐅₁ that does exactly the work w(𝐅₁) − w(𝐅₀), in Pa: Gonzalez's discrete gradient,
+        as :meth:`Hyperelastic.mean_first_piola`."""
+        C0, C1 = F0.T * F0, F1.T * F1
+        ΔC, F = C1 - C0, (F0 + F1) / 2
+        C = (C0 + C1) / 2
+        JJ, size = _squared_area_stretch(C, tdim), ufl.inner(ΔC, ΔC)
+        FC_inv = F * C / JJ**2 if tdim == 1 else (ufl.tr(C) * F - F * C) / JJ
+        P = self.G * (F - self.squared_thickness_stretch(ufl.sqrt(JJ)) * FC_inv)
+        least = LEAST_CHANGE**2
+        share = ufl.conditional(ufl.gt(size, least), self.energy_rest(C0, C1, tdim) / ufl.max_value(size, least), 0.0)
+        return P + 2 * share * F * ΔC
+
+    def energy_rest(self, C0: Expr, C1: Expr, tdim: int) -> Expr:
+        """w(𝐂₁) − w(𝐂₀) − 𝐒(𝐂̄) : Δ𝐂/2 in J/m³ for the mean 𝐂̄, cubic in Δ𝐂, without differences of large numbers.
+
+        With l = ln J² and y = ln x the energy is G/2 tr 𝐂 + f(l), f′ = −G x/2, and stationarity of x makes
+
+            f(l₁) − f(l₀) = G e^ȳ [sinh δ − δ cosh δ − Δl/2 cosh δ],     ȳ = (y₀ + y₁)/2,   δ = (y₁ − y₀)/2.
+
+        From that G x(𝐂̄) I₁/2 is taken, where I₁, I₂ are the invariants of 𝐂̄⁻¹Δ𝐂 and Δl = 2 artanh z, z = I₁/2 / (1 + I₂/4).
+        """
+        C, ΔC = (C0 + C1) / 2, C1 - C0
+        JJ = _squared_area_stretch(C, tdim)
+        y0, ym, y1 = (
+            ufl.ln(self.squared_thickness_stretch(ufl.sqrt(a)))
+            for a in (_squared_area_stretch(C0, tdim), JJ, _squared_area_stretch(C1, tdim))
+        )
+        if tdim == 1:
+            I1, I2 = ufl.tr(ΔC) / JJ, 0.0
+        else:
+            I1 = (ufl.tr(C) * ufl.tr(ΔC) - ufl.tr(C * ΔC)) / JJ
+            I2 = _squared_area_stretch(ΔC, tdim) / JJ
+        z = I1 / 2 / (1 + I2 / 4)
+        miss = 2 * artanh_rest(z) - z * I2 / 2  # Δl − I₁
+        δ, q = (y1 - y0) / 2, ym - (y0 + y1) / 2
+        cosh_rest = 2 * ufl.sinh(δ / 2) ** 2  # cosh δ − 1
+        exp_rest = 2 * ufl.sinh(q / 2) * ufl.exp(q / 2)  # e^q − 1
+        mean = ufl.exp((y0 + y1) / 2)
+        return self.G * mean * (_sinh_rest(δ) - (miss * (1 + cosh_rest) + I1 * (cosh_rest - exp_rest)) / 2)
+
     def virtual_work(self, u: fem.Function, v: Expr | None = None, *, dx: ufl.Measure | None = None) -> Any:
         """Internal virtual work ∫ h 𝐏(u) : ∇v dA (per unit length along z, for a curve).
 
@@ -137,6 +189,12 @@ class NeoHookeanMembrane:
         """Tension in the direction of least stretch (N/m, per reference width); below zero the membrane would wrinkle."""
         l, x = principal_stretches(u)[0], self.squared_thickness_stretch(area_stretch(u))
         return self.thickness * self.G * (l - x / l)
+
+
+def _sinh_rest(δ: Expr) -> Expr:
+    """sinh δ − δ cosh δ, by its series where that would cancel."""
+    series = -(δ**3) * sum(2 * (k + 1) / factorial(2 * k + 3) * δ ** (2 * k) for k in range(6))
+    return ufl.conditional(ufl.lt(abs(δ), SERIES), series, ufl.sinh(δ) - δ * ufl.cosh(δ))
 
 
 def neo_hookean_membrane(E: Any, nu: Any, thickness: Any) -> NeoHookeanMembrane:

@@ -27,13 +27,13 @@ Index = NDArray[np.int64]
 FLAT = 1e-9  # of a plane mesh's diameter: how far its nodes may lie off the plane z = const
 
 
-def read_msh(path: Path | str, comm: MPI.Comm = MPI.COMM_WORLD, gdim: int = 2) -> tuple[mesh.Mesh, Any, Any]:
+def read_msh(path: Path | str, comm: MPI.Comm = MPI.COMM_WORLD, gdim: int | None = None) -> tuple[mesh.Mesh, Any, Any]:
     """(mesh, cell tags, facet tags) of a gmsh .msh file with physical groups.
 
     Args:
         path: the file.
         comm: the ranks to spread it over.
-        gdim: dimension of space, 2 or 3.
+        gdim: dimension of space, 2 or 3; default 3 for solid cells and 2 for others, which may also be membranes in space.
 
     Raises:
         FileNotFoundError: on every rank.
@@ -41,13 +41,13 @@ def read_msh(path: Path | str, comm: MPI.Comm = MPI.COMM_WORLD, gdim: int = 2) -
             gdim − 1 (membranes), of several types, in no or in several physical groups, or a physical group has facets of
             no such cell; or if it is partitioned.
     """
-    gdim, path = whole("gdim", gdim, least=2, most=3), Path(path)
-    on_root(comm, lambda: _check(path, gdim))
-    return read_from_msh(path, comm, gdim)
+    path = Path(path)
+    asked = None if gdim is None else whole("gdim", gdim, least=2, most=3)
+    return read_from_msh(path, comm, on_root(comm, lambda: _check(path, asked)))
 
 
-def _check(path: Path, gdim: int) -> None:
-    """Refuse what DOLFINx would not survive."""
+def _check(path: Path, gdim: int | None) -> int:
+    """Refuse what DOLFINx would not survive; the dimension of space."""
     if not path.is_file():
         raise FileNotFoundError(
             f"{path}: no such file; write it with gmsh or with `python3 -m meshes.two_beams {path}`"
@@ -56,7 +56,7 @@ def _check(path: Path, gdim: int) -> None:
         with _opened(path) as (gmsh, complaints):
             if complaints:
                 raise ValueError(f"gmsh cannot read it: {complaints[0]}")
-            _check_model(gmsh, gdim)
+            return _check_model(gmsh, gdim)
     except Exception as error:  # gmsh raises plain Exceptions
         said = str(error) if isinstance(error, ValueError) else f"gmsh cannot read it: {error}"
         raise ValueError(f"{path}: {said}") from None
@@ -85,7 +85,8 @@ def _opened(path: Path) -> Iterator[tuple[Any, list[str]]]:
             gmsh.clear()
 
 
-def _check_model(gmsh: Any, gdim: int) -> None:
+def _check_model(gmsh: Any, gdim: int | None) -> int:
+    """Refuse a model that is none of bodies or membranes; the dimension of space."""
     groups = gmsh.model.getPhysicalGroups()
     dim = max((d for d, _ in groups), default=-1)
     if dim < 0:
@@ -95,6 +96,7 @@ def _check_model(gmsh: Any, gdim: int) -> None:
             "partitioned; save it as one piece (gmsh.model.mesh.unpartition), the ranks share it out themselves"
         )
     largest = max((d for d, tag in gmsh.model.getEntities() if len(gmsh.model.mesh.getElements(d, tag)[0])), default=-1)
+    gdim = max(largest, 2) if gdim is None else gdim
     if dim < largest <= gdim:
         raise ValueError(
             f"physical groups of facets (dimension {dim}) but not of cells (dimension {largest}): put the bodies into groups"
@@ -105,6 +107,7 @@ def _check_model(gmsh: Any, gdim: int) -> None:
     sides = _check_cells(gmsh, dim)
     if dim - 1 in {d for d, _ in groups}:
         _check_facets(gmsh, dim - 1, sides)
+    return gdim
 
 
 def _check_plane(gmsh: Any, gdim: int) -> None:

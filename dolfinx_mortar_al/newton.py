@@ -7,21 +7,20 @@ is a MATNEST, which MUMPS alone of PETSc's direct solvers takes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.contact_iteration import ContactIteration
 from dolfinx_mortar_al.linear_solver import EXTERNAL, LinearSolver
+from dolfinx_mortar_al.load import Load
 from dolfinx_mortar_al.problem import ContactProblem
-from dolfinx_mortar_al.validation import check_callable, number, whole
+from dolfinx_mortar_al.validation import number, whole
 
-__all__ = ["Load", "NewtonResult", "NewtonSolver", "Path"]
+__all__ = ["NewtonResult", "NewtonSolver", "Path"]
 
 _Reason = PETSc.SNES.ConvergedReason
 
@@ -61,50 +60,6 @@ class NewtonResult:
     def unstable(self) -> bool:
         """Whether the last Jacobian's determinant is negative: a direction without resistance."""
         return bool(self.signs) and self.signs[-1] < 0
-
-
-class Load:
-    """The load parameter: its value, and how the problem learns of it."""
-
-    def __init__(self, value: float, set_: Callable[[float], None]) -> None:
-        self._value, self._set = value, set_
-
-    @classmethod
-    def of(cls, load: fem.Constant | Callable[[float], None], start: float | None = None) -> Load:
-        """From a UFL constant, or from a function that sets what depends on the load (`start`: its present value).
-
-        Raises:
-            ValueError: if it is neither.
-        """
-        if isinstance(load, fem.Function) or not (callable(load) or isinstance(load, fem.Constant)):
-            raise ValueError(
-                f"load: {type(load).__name__} is neither a scalar Constant nor a function that is called with the load; for "
-                "loads of other kinds pass a function that sets them"
-            )
-        if isinstance(load, fem.Constant) and load.value.shape != ():
-            raise ValueError(
-                f"load: a Constant of shape {load.value.shape}; the load parameter is one number: pass a scalar one that "
-                "multiplies a vector, or a function that sets this one"
-            )
-        start = None if start is None else number("start", start)
-        if not isinstance(load, fem.Constant):
-            check_callable("load", load, "the load")
-        if isinstance(load, fem.Constant):
-            return cls(float(load.value) if start is None else start, lambda value: setattr(load, "value", value))
-        return cls(0.0 if start is None else start, load)
-
-    @property
-    def value(self) -> float:
-        return self._value
-
-    @value.setter
-    def value(self, value: float) -> None:
-        self._value = value
-        self._set(value)
-
-    def set(self, value: float) -> None:
-        """The same as a function."""
-        self.value = value
 
 
 @dataclass
@@ -350,7 +305,7 @@ class NewtonSolver:
                 p.bodies.set(xu.array_r - length * yu.array_r)
         self._whole_step = length == 1.0
         if self._path is not None:
-            self._path.load.value += length * change
+            self._path.load.number += length * change
         if length < 1.0:
             y.scale(length)
         improved = self._path is None and not p.tension and self._improve(x, y, length)
@@ -388,11 +343,11 @@ class NewtonSolver:
         assert path is not None
         there, here = p.residual.duplicate(), p.residual.duplicate()
         there.set(0.0)
-        λ, δ = path.load.value, path.difference
+        λ, δ = path.load.number, path.difference
         p.bodies.residual(here.getNestSubVecs()[0])
-        path.load.value = λ + δ
+        path.load.number = λ + δ
         p.bodies.residual(there.getNestSubVecs()[0])
-        path.load.value = λ
+        path.load.number = λ
         right, z = there.getNestSubVecs()[0], y.duplicate()
         right.axpy(-1.0, here.getNestSubVecs()[0])
         right.scale(1.0 / δ)

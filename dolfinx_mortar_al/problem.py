@@ -20,6 +20,7 @@ from petsc4py import PETSc
 
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.contact import Contact, ContactPair
+from dolfinx_mortar_al.load import Loads
 from dolfinx_mortar_al.monitors import Finding, Monitor
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector, matrix_with_pattern
 from dolfinx_mortar_al.pieces import Piece
@@ -42,7 +43,7 @@ Snapshot = dict[str, dict[str, Array]]
 
 
 class Member(Protocol):
-    """What has a state that steps change: bodies, pairs, motions."""
+    """What has a state that steps change: loads, bodies, pairs, motions."""
 
     def snapshot(self) -> dict[str, Array]:
         """Copies of its arrays."""
@@ -103,8 +104,10 @@ class ContactProblem:
                 "contacts",
                 [(pair.name, pair.friction_coefficient, pair.contact.thickness) for pair in self.pairs],
             )
+        #: what marches have moved
+        self.loads = Loads()
         #: what a snapshot is made of, in the order in which it is restored
-        self.members: dict[str, Member] = {"bodies": self.bodies}
+        self.members: dict[str, Member] = {"loads": self.loads, "bodies": self.bodies}
         self.members |= {f"pair{k}": pair for k, pair in enumerate(self.pairs)}
         self._touched = [self._pieces_of(pair) for pair in self.pairs]
         with self.stopwatch("bulk"):
@@ -355,10 +358,10 @@ class ContactProblem:
 
     def findings(self) -> list[Finding]:
         """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse, whose
-        surfaces are prescribed to overlap or have passed through themselves (collective)."""
+        surfaces are prescribed to overlap, have passed through each other or overlap unfelt (collective)."""
         looks = [monitor.look() for monitor in self.monitors]
         for pair in self.pairs:
-            looks += [pair.coarse_integration(), pair.prescribed_overlap(), pair.passed_through()]
+            looks += [pair.coarse_integration(), pair.prescribed_overlap(), *pair.unfelt()]
         return [finding for finding in looks if finding is not None]
 
     def evaluate(self) -> None:

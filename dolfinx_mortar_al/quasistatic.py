@@ -1,35 +1,35 @@
-"""Load stepping: adaptive increments, each one a transaction; extrapolation in the load as predictor."""
+"""Equilibrium under loads that move: along straight lines, one stage after the other, or by the length of the path."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from time import perf_counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import floor
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al import validation
-from dolfinx_mortar_al.monitors import Finding, Reporter
-from dolfinx_mortar_al.newton import NO_PROGRESS, Load, NewtonSolver, Path
-from dolfinx_mortar_al.problem import ContactProblem, Snapshot
+from dolfinx_mortar_al import stepping, validation
+from dolfinx_mortar_al.load import Load, Movable
+from dolfinx_mortar_al.load_watch import LoadWatch
+from dolfinx_mortar_al.monitors import Finding
+from dolfinx_mortar_al.newton import NO_PROGRESS, NewtonSolver, Path
+from dolfinx_mortar_al.predictor import Predictor
+from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.ranks import agreed
-from dolfinx_mortar_al.stepping import Event, LoadWatch
+from dolfinx_mortar_al.stepping import Attempt, Bar, Controller, Event, StepFailure
 
-__all__ = ["Step", "StepFailure", "follow", "march"]
+__all__ = ["Stage", "Step", "StepFailure", "follow", "march"]
 
-MAX_ORDER = 4  # of the predictor's polynomial
-BETTER = 3.0  # factor by which a higher order must have been better to be used: measured, docs/newton.md
-EVENT = 2.0**-6  # of an asked-for increment: how closely an event is met
-CUT, CUT_WITHOUT_PROGRESS = (
-    1 / 2,
-    1 / 4,
-)  # of the increment after a failure: that came near, that made no progress at all
-EASY = 8  # Newton iterations up to which an increment that was cut may grow again
+Array = NDArray[np.float64]
 
+CUT_WITHOUT_PROGRESS = 1 / 4  # of an increment after a failure in which Newton made no progress at all
+SMALLEST = 2.0**-10  # increment, as a share of the asked-for one, below which a march gives up
+NEARLY = 1e-9  # of an increment: round-off in a position to go on from
+PARALLEL = 1e-12  # one minus the squared cosine between the directions of two stages that count as one line
 
 UNSTABLE = Finding(
     "determinant of the Jacobian",
@@ -41,116 +41,102 @@ UNSTABLE = Finding(
 )
 
 
-class StepFailure(RuntimeError):
-    """A step did not converge even at the smallest increment; what had converged was yielded before."""
+@dataclass(frozen=True, kw_only=True)
+class Step(stepping.Step):
+    """A converged step of loading.
+
+    Attributes:
+        load: where a load of one number stands; of another load, the share of the way from the begin of its stage.
+        stage: number of the stage, from 0.
+        path: how far the march has come: stages done and the share of this one; in `follow` the length of the path (m).
+    """
+
+    load: float
+    stage: int
+    path: float
 
 
 @dataclass(frozen=True)
-class Step:
-    """A converged step: load, Newton iterations (rejected trials included), rejected trials, wall time (s), whether
-    the load is one of the asked-for increments (not a step between them after a cut), and what the monitors found below
-    their bounds."""
+class Stage:
+    """A load moved along a straight line from where it stands.
 
-    load: float
-    iterations: int
-    rejected: int
-    wall_time: float
-    nominal: bool
-    findings: tuple[Finding, ...] = ()
+    Args:
+        load: a Constant (a number or a vector), a Function of prescribed values, or a function that is called with a number
+            and sets what depends on it.
+        to: where to: a number, a vector, or for a Function another one of its space or what its `interpolate` takes.
+        increments: number of steps asked for.
+        until: an event of the converged state, the same on every rank, that ends the stage. It ends with the first step
+            where it holds, after closing in on it down to 1/64 of an increment.
+    """
+
+    load: Movable
+    to: Any
+    increments: int
+    until: Callable[[], bool] | None = None
 
 
 def march(
     problem: ContactProblem,
-    load: fem.Constant | Callable[[float], None],
+    load: Movable | Stage | Sequence[Stage],
     *,
-    to: float,
-    increments: int,
+    to: Any = None,
+    increments: int | None = None,
     start: float | None = None,
     solver: NewtonSolver | None = None,
-    smallest: float = 2.0**-10,
+    smallest: float = SMALLEST,
     until: Callable[[], bool] | None = None,
     progress: bool = False,
 ) -> Iterator[Step]:
     """Solve at growing loads and yield each converged step.
 
     A step that fails is undone, slip history included, and tried again at half the increment (a quarter if Newton made no
-    progress), which grows back after easy steps. Loads at multiples of (to − start)/increments are always met.
+    progress), which grows back after easy steps. The asked-for loads are always met: `increments` equal parts of the way.
+    A load begins where it stands, at the end of an earlier march or as a checkpoint has brought it back; a function that
+    no march has called yet, at 0.
 
     Args:
         problem: to solve.
-        load: the load parameter: a UFL constant of the problem, or a function that sets what depends on it.
-        to: final load.
-        increments: number of steps asked for.
-        start: load of the problem's present state, default the constant's value, or 0 for a function.
+        load: what to move, see :class:`Stage`; or stages, one after the other.
+        to, increments: see :class:`Stage`; of a single load.
+        start: of a single load its value in the problem's present state, if another than it remembers; of stages the
+            `path` of the step to go on from, such as the `start` of an `output.Run` with a checkpoint, whose loads stand
+            where they were then.
         solver: default a new :class:`~dolfinx_mortar_al.newton.NewtonSolver`.
         smallest: increment, relative to the asked-for one, below which the march gives up.
-        until: an event of the converged state, the same on every rank (an error if not), such as ``pair.reaches_end``. The
-            march ends with the first step where it holds, after closing in on it down to EVENT of an increment.
-        progress: show a progress bar with load, iterations and contact state (rank 0, standard error).
+        until: an event that ends the march, as that of a stage does the stage, such as ``pair.reaches_end``.
+        progress: show a progress bar over all stages with load, iterations and contact state (rank 0, standard error).
 
     Raises:
-        ValueError: on every rank: `increments` < 1, `to` equals the present load, a `load` that is neither a scalar Constant
-            nor a function, or an argument or event that differs between ranks.
-        StepFailure: on every rank.
+        ValueError: at the call, on every rank: `increments` < 1, a `to` at which the load stands already or that is no value
+            of it, a `load` that is none; an argument, and later an event, that differs between ranks.
+        StepFailure: on every rank, in a step.
     """
-    increments = validation.whole("increments", increments, least=1)
     smallest = validation.number("smallest", smallest, above=0.0, most=1.0)
-    parameter, event = Load.of(load, start), Event(problem.comm, until)
-    begin = validation.number("start", parameter.value)
-    to = validation.number("to", to, must=f"the load must move away from its present value {begin} to")
-    if to == begin:
-        raise ValueError(f"to = {to}: the load must move away from its present value {begin}")
-    agreed(problem.comm, "start, to, increments", (begin, to, increments))
-    stepper = _Stepper(problem, parameter, solver, _Bar(problem, begin, to) if progress else None)
-    return _march(stepper, to, increments, smallest, event, LoadWatch(problem, load))
-
-
-def _march(
-    stepper: _Stepper, to: float, increments: int, smallest: float, event: Event, watch: LoadWatch
-) -> Iterator[Step]:
-    """The steps of :func:`march`, whose arguments have been checked."""
-    parameter = stepper.load
-    begin = parameter.value
-    asked = (to - begin) / increments
-    stepper.past.add(begin)
-    increment, number, closing_in = asked, 1, False
-    while number <= increments:
-        current, mark = parameter.value, begin + number * asked
-        nominal = abs(current + increment - mark) < 1e-9 * abs(asked) or abs(increment) >= abs(mark - current)
-        trial = mark if nominal else current + increment
-        stepper.past.predict(trial)
-        with watch:
-            parameter.value = trial
-        if not stepper.solve():
-            increment = stepper.cut * (trial - current)
-            stepper.undo(current, give_up=abs(increment) < smallest * abs(asked))
-            continue
-        happened = event()
-        if happened and abs(trial - current) > EVENT * abs(asked):
-            stepper.past.restore()
-            increment, closing_in, parameter.value = (trial - current) / 2, True, current
-            continue
-        if stepper.easy and not closing_in:
-            increment = float(np.sign(asked)) * min(2 * abs(increment), abs(asked))
-        number += int(nominal)
-        yield stepper.accept(trial, nominal)
-        if happened:
-            break
-    watch.report()
-    stepper.close()
+    event = Event(problem.comm, until)
+    if isinstance(load, Stage | list | tuple):
+        if to is not None or increments is not None:
+            raise ValueError("to, increments: each Stage has its own; leave them out")
+        stages = validation.listed("load", load, Stage, "a Stage")
+        legs = _legs(problem, stages, None)
+        begin = 0.0 if start is None else validation.number("start", start, least=0.0, most=float(len(legs)))
+    else:
+        legs, begin = _legs(problem, [Stage(load, to, increments)], start), 0.0  # type: ignore[arg-type]
+    agreed(problem.comm, "start", begin)
+    return _steps(_LoadControl(problem, stepping.solver_of(problem, solver), legs, begin, smallest, event), progress)
 
 
 def follow(
     problem: ContactProblem,
-    load: fem.Constant | Callable[[float], None],
+    load: Movable,
     *,
     first: float,
     length: float,
     steps: int,
     start: float | None = None,
     solver: NewtonSolver | None = None,
-    smallest: float = 2.0**-10,
+    smallest: float = SMALLEST,
     until: Callable[[], bool] | None = None,
+    progress: bool = False,
 ) -> Iterator[Step]:
     """Follow the equilibrium path by its length, the load being an unknown, past limit points where the load turns.
 
@@ -158,205 +144,310 @@ def follow(
     the plane normal to it (Riks' method; the displacements alone make the norm). Contact and friction are as in `march`.
 
     Args:
-        problem, load, start, solver: as in :func:`march`.
+        problem, load, start, solver, progress: as in :func:`march`; the load is one number.
         first: load increment of the first step, which gives the path its direction.
         length: of a step: the largest displacement of a node in its prediction (m).
         steps: how many steps to take after the first.
         smallest: length, relative to the asked-for one, below which the march gives up.
-        until: an event of the converged state that ends the path, the same on every rank.
+        until: an event of the converged state that ends the path, as in :func:`march`; not looked at in the first step.
 
     Raises:
-        ValueError: `steps` < 1, or a first load or a length of zero.
-        StepFailure: on every rank.
+        ValueError: at the call: `steps` < 1, a first load or a length of zero, or a load that is not one number.
+        StepFailure: on every rank, in a step.
     """
     steps, length = validation.whole("steps", steps, least=1), validation.number("length", length, above=0.0)
     first, smallest = validation.number("first", first), validation.number("smallest", smallest, above=0.0, most=1.0)
     if first == 0.0:
         raise ValueError("first = 0: the path needs a first load increment, which gives it its direction")
-    parameter, event = Load.of(load, start), Event(problem.comm, until)
-    agreed(problem.comm, "first, length, steps", (first, length, steps))
-    stepper = _Stepper(problem, parameter, solver, None)
-    states = [(parameter.value, problem.bodies.get())]
-    yield from march(
-        problem, parameter.set, to=parameter.value + first, increments=1, start=parameter.value, solver=stepper.solver
-    )
-    states.append((parameter.value, problem.bodies.get()))
-    s = [0.0, _largest(problem, states[1][1] - states[0][1])]  # path length, the abscissa of the predictor
-    stepper.past.add(s[1])
-    step_length, taken = length, 0
-    while taken < steps:
-        (λ0, u0), (λ1, u1) = states
-        share = step_length / (s[1] - s[0])
-        stepper.past.restore()
-        direction = u1 - u0
-        problem.bodies.set(u1 + share * direction)
-        parameter.value = λ1 + share * (λ1 - λ0)
-        if not stepper.solve(Path(parameter, direction, 1e-3 * first)):
-            step_length *= stepper.cut
-            stepper.undo(λ1, give_up=step_length < smallest * length)
-            continue
-        states = [(λ1, u1), (parameter.value, problem.bodies.get())]
-        s = [s[1], s[1] + _largest(problem, states[1][1] - u1)]
-        step_length = min(2 * step_length, length) if stepper.easy else step_length
-        taken += 1
-        yield stepper.accept(s[1], nominal=True)
-        if event():
-            break
+    moved, event = _load_of(problem, load), Event(problem.comm, until)
+    if not moved.is_number:
+        raise ValueError(f"load: {type(load).__name__} of several components; the unknown load of a path is one number")
+    begin = None if start is None else validation.number("start", start)
+    agreed(problem.comm, "first, length, steps, start", (first, length, steps, begin))
+    control = _PathControl(problem, stepping.solver_of(problem, solver), moved, first, length, steps, smallest, event)
+    return _follow(control, begin, progress)
 
 
-def _largest(problem: ContactProblem, u: NDArray[np.float64]) -> float:
-    """Largest displacement of a node (m), collective."""
-    nodal = np.linalg.norm(u.reshape(-1, problem.gdim), axis=1)
-    return float(problem.comm.allreduce(float(nodal.max(initial=0.0)), MPI.MAX))
+def _steps(control: Controller[Step], progress: bool) -> Iterator[Step]:
+    with Bar(control.problem, progress) as bar:
+        yield from stepping.run(control, bar)
 
 
-class _Stepper:
-    """What every way of stepping shares: solve, then accept with its bookkeeping or undo."""
-
-    def __init__(self, problem: ContactProblem, load: Load, solver: NewtonSolver | None, bar: _Bar | None) -> None:
-        self.problem, self.load, self.bar = problem, load, bar
-        if solver is not None and not isinstance(solver, NewtonSolver):
-            raise ValueError(f"solver: {type(solver).__name__} is not a NewtonSolver; leave it out for the default")
-        self.solver = NewtonSolver(problem) if solver is None else solver
-        self.past = _Past(problem)
-        self.rejected = self.iterations = 0
-        self.easy, self.cut = False, CUT
-        self._reporter = Reporter(problem.comm.rank)
-        self._clock = perf_counter()
-
-    def solve(self, path: Path | None = None) -> bool:
-        """Newton from the present prediction; a fatal finding of a monitor counts as a failure."""
-        result = self.solver.solve(path)
-        self.iterations += result.iterations
-        self.easy, self._message = result.iterations <= EASY, result.message
-        self.cut = CUT if result.residual < NO_PROGRESS else CUT_WITHOUT_PROGRESS
-        self._findings = self.problem.findings() if result.converged else []
-        if result.converged and result.unstable and not self.problem.floating:  # neutral, where nothing resists a slide
-            self._findings.append(UNSTABLE)
-        fatal = [str(f) for f in self._findings if f.fatal]
-        if fatal:
-            self._message = "; ".join(fatal)
-        return result.converged and not fatal
-
-    def accept(self, abscissa: float, nominal: bool) -> Step:
-        """The step is final: it becomes the origin of the next one."""
-        self.problem.commit()
-        self.past.add(abscissa)
-        seconds = perf_counter() - self._clock
-        step = Step(self.load.value, self.iterations, self.rejected, seconds, nominal, tuple(self._findings))
-        self._report(step)
-        self.rejected, self.iterations, self._clock = 0, 0, perf_counter()
-        return step
-
-    def undo(self, load: float, give_up: bool) -> None:
-        """Back to the last converged state at `load`; `give_up` ends the run with the reason of the failure."""
-        failed, self.load.value = self.load.value, load
-        self.past.restore()
-        self.rejected += 1
-        if self.bar is not None:
-            self.bar.rejected(failed, self._message)
-        if give_up:
-            self.problem.evaluate()
-            raise StepFailure(
-                f"no convergence at load {failed:.6g} with the smallest step: {self._message}; "
-                f"the steps up to load {load:.6g} are converged"
-            )
-
-    def _report(self, step: Step) -> None:
-        if self.bar is not None:
-            self.bar.show(step)
-        self._reporter.report(step.findings, f"load {step.load:.6g}")
-
-    def close(self) -> None:
-        if self.bar is not None:
-            self.bar.bar.close()
+def _follow(control: _PathControl, start: float | None, progress: bool) -> Iterator[Step]:
+    """The first step with a given load, and those along the path."""
+    problem, load, first = control.problem, control.load, control.first
+    if start is not None:
+        load.number = start
+    control.mark()
+    legs = _legs(problem, [Stage(load.source, load.number + first, 1)], None)
+    given = _LoadControl(problem, control.solver, legs, 0.0, SMALLEST, Event(problem.comm, None))
+    for step in _steps(given, progress=False):
+        yield replace(step, path=control.length())
+    control.mark()
+    yield from _steps(control, progress)
 
 
-class _Past:
-    """The last converged states and their loads, for extrapolation and for undoing a failed step."""
+# ---------------------------------------------------------------- legs
 
-    def __init__(self, problem: ContactProblem) -> None:
-        self.problem = problem
-        self.loads: list[float] = []
-        self.states: list[Snapshot] = []
-        #: of each predicted array, the polynomial order to predict it with
-        self._order = {(member, name): 1 for member, name in self._predicted()}
 
-    def _predicted(self) -> list[tuple[str, str]]:
-        """What is extrapolated: member and name of arrays of a snapshot."""
-        return [("bodies", "u"), *((f"pair{k}", "multiplier") for k in range(len(self.problem.pairs)))]
+def _load_of(problem: ContactProblem, source: Any, name: str = "load") -> Load:
+    """The problem's load of that source, which may not be a displacement that is solved for."""
+    if any(source is body.u for body in problem.bodies.bodies):
+        raise ValueError(f"{name}: Function {source.name!r} is the displacement; pass one of prescribed values")
+    return problem.loads.of(source, name)
 
-    def add(self, load: float) -> None:
-        """A state has converged; choose the polynomial orders that would have predicted it well."""
-        state = self.problem.snapshot()
-        for array in self._order:
-            self._order[array] = self._best_order(state, array, load)
-        self.loads, self.states = [*self.loads, load][-MAX_ORDER - 1 :], [*self.states, state][-MAX_ORDER - 1 :]
 
-    def restore(self) -> None:
-        """Undo: back to the last converged state."""
-        self.problem.restore(self.states[-1])
+class _Leg:
+    """A stage on its way. Positions are counted in increments.
 
-    def predict(self, load: float) -> None:
-        """Displacement and multipliers extrapolated to `load`; and λ̂_N, which says what points to expect closed, linearly
-        and half the way only: too much closed costs more iterations than too little (docs/newton.md). The last state
-        itself, where an extrapolated one has inverted cells."""
-        self.restore()
-        if len(self.states) < 2:
+    Attributes:
+        load, end, increments: from where it stands to `end` (components,).
+        x: the position of the last accepted step.
+        event: that ends it; watch: whether the problem feels it.
+    """
+
+    def __init__(self, problem: ContactProblem, load: Load, end: Array, increments: int, event: Event) -> None:
+        self.load, self.end, self.increments, self.event, self.x = load, end, increments, event, 0.0
+        self.start: Array | None = None  # in place of where the load stands
+        self.watch = LoadWatch(problem, at_once=isinstance(load.source, fem.Constant | fem.Function))
+        self.begin = load.value
+
+    def enter(self, share: float) -> None:
+        """Begin, or go on where `share` of the way is done."""
+        if self.start is not None and not np.array_equal(self.start, self.load.value):
+            self.load.set(self.start)
+        x = share * self.increments
+        self.x = float(round(x)) if abs(x - round(x)) < NEARLY else x
+        s = self.x / self.increments
+        self.begin = np.asarray((self.load.value - s * self.end) / (1.0 - s))
+
+    def value(self, x: float) -> Array:
+        """(components,) of the load at a position."""
+        if x == self.increments:
+            return self.end
+        return self.begin + x / self.increments * (self.end - self.begin)
+
+    def stand(self, x: float) -> float:
+        """What a step at that position says of its load."""
+        return float(self.value(x)[0]) if self.load.is_number else x / self.increments
+
+
+def _legs(problem: ContactProblem, stages: Sequence[Stage], start: float | None) -> list[_Leg]:
+    """The stages, checked (collective); `start` is the value of the first one's load, if another than it remembers."""
+    legs: list[_Leg] = []
+    for k, stage in enumerate(stages):
+        where = f"stages[{k}]: " if len(stages) > 1 else ""
+        load = _load_of(problem, stage.load, f"{where}load")
+        increments = validation.whole(f"{where}increments", stage.increments, least=1)
+        leg = _Leg(problem, load, load.end(f"{where}to", stage.to), increments, Event(problem.comm, stage.until))
+        if start is not None:
+            leg.start = load.end("start", start)
+        shared = (
+            None if isinstance(load.source, fem.Function) else leg.end.tolist()
+        )  # of a Function each rank has a part
+        agreed(problem.comm, f"{where}start, to, increments", (start, shared, increments))
+        earlier = next((one for one in reversed(legs) if one.load is load), None)
+        before = leg.start if leg.start is not None else load.value if earlier is None else earlier.end
+        if (earlier is None or stages[legs.index(earlier)].until is None) and _alike(problem, before, leg.end):
+            at = f" {float(before[0]):g}" if load.is_number else ""
+            raise ValueError(f"{where}to = {stage.to}: the load must move away from its present value{at}")
+        legs.append(leg)
+    return legs
+
+
+def _alike(problem: ContactProblem, a: Array, b: Array) -> bool:
+    """Whether two values of a load are the same on all ranks (collective)."""
+    return bool(problem.comm.allreduce(np.array_equal(a, b), MPI.LAND))
+
+
+# ---------------------------------------------------------------- controllers
+
+
+def _solve(problem: ContactProblem, solver: NewtonSolver, path: Path | None = None) -> Attempt:
+    """Newton from the present prediction; a fatal finding of a monitor counts as a failure."""
+    result = solver.solve(path)
+    findings = problem.findings() if result.converged else []
+    if result.converged and result.unstable and not problem.floating:  # neutral, where nothing resists a slide
+        findings.append(UNSTABLE)
+    fatal = [str(f) for f in findings if f.fatal]
+    cut = stepping.CUT if result.residual < NO_PROGRESS else CUT_WITHOUT_PROGRESS
+    message = "; ".join(fatal) or result.message
+    return Attempt(result.converged and not fatal, result, message, findings, cut)
+
+
+class _LoadControl(Controller[Step]):
+    """Loads are given, leg by leg."""
+
+    def __init__(
+        self,
+        problem: ContactProblem,
+        solver: NewtonSolver,
+        legs: list[_Leg],
+        start: float,
+        smallest: float,
+        event: Event,
+    ) -> None:
+        self.problem, self.smallest, self.solver = problem, smallest, solver
+        self._legs, self._event, self._predictor = legs, event, Predictor(problem)
+        self.leg, self._start = int(start), start - int(start)
+        self._leg_over = self._over = False
+        self._path = start
+
+    def begin(self) -> None:
+        if self.finished:
             return
-        problem = self.problem
-        problem.bodies.set(self._extrapolated(("bodies", "u"), load, self._order["bodies", "u"]))
-        if problem.inverted_volume() > 0:
-            self.restore()
-            return
-        for k, pair in enumerate(problem.pairs):
-            name = f"pair{k}"
-            predicted = dict(self.states[-1][name])
-            array = name, "multiplier"
-            predicted["multiplier"] = self._extrapolated(array, load, self._order[array])
-            if len(self.states) > 2:  # the start state's contact is a guess
-                predicted["λN_hat"] = self._extrapolated((name, "λN_hat"), (load + self.loads[-1]) / 2, 1)
-            pair.restore(predicted)
+        leg = self._legs[self.leg]
+        leg.enter(self._start)
+        self._predictor.add(leg.x / leg.increments)
+        self._at = self._tried = self._words(leg, leg.x)
 
-    def _extrapolated(self, array: tuple[str, str], load: float, order: int) -> NDArray[np.float64]:
-        """An array of the last order + 1 snapshots, extrapolated to `load` by Lagrange's polynomial."""
-        x = np.array(self.loads[-order - 1 :])
-        weights = np.array([np.prod([(load - b) / (a - b) for b in x if b != a]) for a in x])
-        member, name = array
-        return np.asarray(weights @ np.stack([state[member][name] for state in self.states[-len(x) :]]))
-
-    def _best_order(self, state: Snapshot, array: tuple[str, str], load: float) -> int:
-        """The order that would have predicted `state` best; a higher one only where it is BETTER times as good."""
-        member, name = array
-        best, least = 1, np.inf
-        for order in range(1, min(MAX_ORDER + 1, len(self.states))):
-            miss = state[member][name] - self._extrapolated(array, load, order)
-            size = np.sqrt(self.problem.comm.allreduce(float(miss @ miss), MPI.SUM))
-            if size * BETTER < least:
-                best, least = order, size
-        return best
-
-
-class _Bar:
-    """Progress on standard error, drawn by rank 0; the contact state it shows is collective."""
-
-    def __init__(self, problem: ContactProblem, begin: float, to: float) -> None:
-        from tqdm import tqdm
-
-        self.problem, self.begin, self.to = problem, begin, to
-        layout = "{percentage:3.0f}%|{bar:20}| {elapsed} {postfix}"
-        self.bar = tqdm(total=1.0, disable=problem.comm.rank != 0, bar_format=layout)
-
-    def show(self, step: Step) -> None:
-        pairs = [
-            f"{pair.name}: {pair.closed_fraction():.1%} closed, {pair.stick_fraction():.1%} stick"
-            for pair in self.problem.pairs
-        ]
-        self.bar.set_postfix_str(
-            "; ".join([f"load {step.load:.5g}", f"{step.iterations} iterations", *pairs]), refresh=False
+    def _words(self, leg: _Leg, x: float) -> str:
+        stage = f" of stage {self.leg + 1}" if len(self._legs) > 1 else ""
+        return (
+            f"load {leg.stand(x):.6g}{stage}" if leg.load.is_number else f"{leg.stand(x):.6g}{stage or ' of the way'}"
         )
-        self.bar.update((step.load - self.begin) / (self.to - self.begin) - self.bar.n)
 
-    def rejected(self, load: float, why: str) -> None:
-        if self.problem.comm.rank == 0:
-            self.bar.write(f"load {load:.6g} rejected: {why}", file=sys.stderr)
+    @property
+    def finished(self) -> bool:
+        return self._over or self.leg >= len(self._legs)
+
+    @property
+    def share(self) -> float:
+        return 1.0 if self.finished else self._path / len(self._legs)
+
+    def at(self, tried: bool = False) -> str:
+        return self._tried if tried else self._at
+
+    def clip(self, size: float) -> tuple[float, bool]:
+        left = floor(self._legs[self.leg].x) + 1.0 - self._legs[self.leg].x
+        return min(size, left), size >= left
+
+    def attempt(self, length: float, nominal: bool) -> Attempt:
+        leg = self._legs[self.leg]
+        self._x = leg.x + length
+        self._tried = self._words(leg, self._x)
+        self._predictor.predict(self._x / leg.increments)
+        with leg.watch:
+            leg.load.set(leg.value(self._x))
+        return _solve(self.problem, self.solver)
+
+    def undo(self) -> None:
+        self._leg_over = self._over = False
+        self._predictor.restore()
+
+    def event(self) -> bool:
+        self._leg_over, self._over = self._legs[self.leg].event(), self._event()
+        return self._leg_over or self._over
+
+    def accept(self, done: stepping.Step) -> Step:
+        leg, stage = self._legs[self.leg], self.leg
+        self.problem.commit()
+        leg.x, self._at = self._x, self._tried
+        self._predictor.add(leg.x / leg.increments)
+        if over := self._leg_over or leg.x >= leg.increments:
+            self._turn()
+        if over or self._over:
+            leg.watch.report()
+        self._path = stage + (1.0 if over else leg.x / leg.increments)
+        return Step(**vars(done), load=leg.stand(leg.x), stage=stage, path=self._path)
+
+    def _turn(self) -> None:
+        """On to the next leg."""
+        last, self.leg = self._legs[self.leg], self.leg + 1
+        if self.finished:
+            return
+        leg = self._legs[self.leg]
+        leg.enter(0.0)
+        scale = 0.0
+        if leg.load is last.load:
+            a, b = last.end - last.begin, leg.end - leg.begin
+            aa, ab, bb = self.problem.comm.allreduce(np.array([a @ a, a @ b, b @ b]))
+            if ab > 0.0 and ab**2 >= (1.0 - PARALLEL) * aa * bb:
+                scale = float(aa / ab)
+        self._predictor.turn(scale)
+
+    def failure(self, reason: str) -> str:
+        self.problem.evaluate()
+        return f"no convergence at {self._tried} with the smallest step: {reason}; the steps up to {self._at} are converged"
+
+
+class _PathControl(Controller[Step]):
+    """The load is an unknown; lengths along the path are given."""
+
+    def __init__(
+        self,
+        problem: ContactProblem,
+        solver: NewtonSolver,
+        load: Load,
+        first: float,
+        length: float,
+        steps: int,
+        smallest: float,
+        event: Event,
+    ) -> None:
+        self.problem, self.smallest, self.solver, self.load, self.first = problem, smallest, solver, load, first
+        self._length, self._steps, self._taken, self._event, self._over = length, steps, 0, event, False
+        self._states: list[tuple[float, Array]] = []  # the last two: load and displacements (owned dofs,)
+        self._s: list[float] = [0.0]  # path length there (m)
+
+    def mark(self) -> None:
+        """The present state is on the path."""
+        self._states = [*self._states, (self.load.number, self.problem.bodies.get())][-2:]
+        if len(self._states) == 2:
+            (_, u0), (_, u1) = self._states
+            self._s = [*self._s, self._s[-1] + self._largest(u1 - u0)][-2:]
+
+    def length(self) -> float:
+        """Of the path to the present state (m), collective."""
+        return self._s[-1] + self._largest(self.problem.bodies.get() - self._states[-1][1])
+
+    def _largest(self, u: Array) -> float:
+        """Largest displacement of a node (m), collective."""
+        nodal = np.linalg.norm(u.reshape(-1, self.problem.gdim), axis=1)
+        return float(self.problem.comm.allreduce(float(nodal.max(initial=0.0)), MPI.MAX))
+
+    @property
+    def finished(self) -> bool:
+        return self._over or self._taken >= self._steps
+
+    @property
+    def share(self) -> float:
+        return (1 + self._taken) / (1 + self._steps)
+
+    def at(self, tried: bool = False) -> str:
+        return f"load {self._tried if tried else self._states[-1][0]:.6g}"
+
+    def clip(self, size: float) -> tuple[float, bool]:
+        return size, True
+
+    def attempt(self, length: float, nominal: bool) -> Attempt:
+        (λ0, u0), (λ1, u1) = self._states
+        share = length * self._length / (self._s[1] - self._s[0])
+        self._before = self.problem.snapshot()
+        direction = u1 - u0
+        self.problem.bodies.set(u1 + share * direction)
+        self.load.number = λ1 + share * (λ1 - λ0)
+        attempt = _solve(self.problem, self.solver, Path(self.load, direction, 1e-3 * self.first))
+        self._tried = self.load.number
+        return attempt
+
+    def undo(self) -> None:
+        self._over = False
+        self.problem.restore(self._before)
+
+    def event(self) -> bool:
+        self._over = self._event()
+        return self._over
+
+    def accept(self, done: stepping.Step) -> Step:
+        self.problem.commit()
+        self.mark()
+        self._taken += 1
+        return Step(**vars(done), load=self.load.number, stage=0, path=self._s[1])
+
+    def failure(self, reason: str) -> str:
+        self.problem.evaluate()
+        return (
+            f"no convergence at {self.at(tried=True)} with the smallest step: {reason}; the steps up to {self.at()} are "
+            "converged"
+        )

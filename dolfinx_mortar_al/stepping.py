@@ -1,23 +1,179 @@
-"""What a march asks of its caller's functions and loads: events alike on all ranks, loads that the problem feels."""
+"""The one loop that takes steps: try, accept or undo, cut, grow, give up, close in on an event, say how it goes.
+
+What moves is a controller's: the load (`quasistatic.march`), the load along the path's length (`quasistatic.follow`), time
+(`dynamics.march`). It says how far a step may go, solves and judges it, and knows what a step reports.
+"""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from time import perf_counter
 from types import TracebackType
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-import numpy as np
-from dolfinx import fem
 from mpi4py import MPI
-from numpy.typing import NDArray
 
-from dolfinx_mortar_al.monitors import ModelWarning
+from dolfinx_mortar_al.monitors import Finding, Reporter
+from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.ranks import agreed
-from dolfinx_mortar_al.targets import RigidTarget
 
-__all__ = ["Event", "LoadWatch"]
+__all__ = ["Attempt", "Bar", "Controller", "Event", "Step", "StepFailure", "run", "solver_of"]
+
+EASY = 8  # Newton iterations up to which a step that was cut may grow again
+GROWTH = 2.0  # of a step from one to the next at most
+CUT = 1 / 2  # of a step after a failure
+EVENT = 2.0**-6  # of an asked-for step: how closely an event is met
+
+
+class StepFailure(RuntimeError):
+    """A step did not converge even at the smallest length; what had converged was yielded before."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """A converged step: Newton iterations (rejected trials included), rejected trials, wall time (s), whether it ends at one
+    of the asked-for places (not between them after a cut), and what the monitors found below their bounds."""
+
+    iterations: int
+    rejected: int
+    wall_time: float
+    nominal: bool
+    findings: tuple[Finding, ...] = ()
+
+
+@dataclass
+class Attempt:
+    """A trial: whether it is good, what Newton did, the reasons why not, what monitors found, and the share of its length to
+    try next if it failed."""
+
+    good: bool
+    newton: NewtonResult
+    message: str
+    findings: list[Finding]
+    cut: float = CUT
+
+    @property
+    def easy(self) -> bool:
+        """Whether Newton had little to do."""
+        return self.newton.iterations <= EASY
+
+
+S = TypeVar("S", bound=Step)
+
+
+class Controller(ABC, Generic[S]):
+    """What moves, and how. Lengths are shares of an asked-for step.
+
+    Attributes:
+        problem: to solve.
+        smallest: length below which the march gives up.
+        leg: number of the part of the way that the next step is on; each begins with a step of the asked-for length.
+    """
+
+    problem: ContactProblem
+    smallest: float
+    leg: int = 0
+
+    def begin(self) -> None:
+        """Called once, before the first step."""
+
+    @property
+    @abstractmethod
+    def finished(self) -> bool:
+        """Whether no step is left to take."""
+
+    @property
+    @abstractmethod
+    def share(self) -> float:
+        """How much of the whole way is done, from 0 to 1."""
+
+    @abstractmethod
+    def at(self, tried: bool = False) -> str:
+        """Where the last accepted step has come to, or the last `tried` one, in words."""
+
+    @abstractmethod
+    def clip(self, size: float) -> tuple[float, bool]:
+        """The length of the next step, `size` or less, and whether it ends at an asked-for place."""
+
+    @abstractmethod
+    def attempt(self, length: float, nominal: bool) -> Attempt:
+        """Predict, solve and judge a step (collective)."""
+
+    @abstractmethod
+    def undo(self) -> None:
+        """Back to the last accepted step (collective)."""
+
+    def event(self) -> bool:
+        """Whether what the march is to end at has happened in the step just tried (collective)."""
+        return False
+
+    @abstractmethod
+    def accept(self, done: Step) -> S:
+        """The step just tried is final: it becomes the origin of the next one, and says more than `done` (collective)."""
+
+    def grown(self, size: float, length: float, attempt: Attempt) -> float:
+        """What to take for the next step after a good one of `length`, for which `size` was meant."""
+        return min(GROWTH * size, 1.0) if attempt.easy else size
+
+    @abstractmethod
+    def failure(self, reason: str) -> str:
+        """What to say of a march that gives up (collective); the last step has been undone."""
+
+
+def run(control: Controller[S], bar: Bar) -> Iterator[S]:
+    """The steps of a controller (collective).
+
+    Raises:
+        StepFailure: on every rank.
+    """
+    reporter = Reporter(control.problem.comm.rank)
+    size, leg, closing_in = 1.0, control.leg, False
+    control.begin()
+    iterations, rejected, clock = 0, 0, perf_counter()
+    while not control.finished:
+        length, nominal = control.clip(size)
+        attempt = control.attempt(length, nominal)
+        iterations += attempt.newton.iterations
+        if not attempt.good:
+            bar.rejected(control.at(tried=True), attempt.message)
+            size, rejected = attempt.cut * length, rejected + 1
+            control.undo()
+            if size < control.smallest:
+                raise StepFailure(control.failure(attempt.message))
+            continue
+        if control.event() and length > EVENT:
+            control.undo()
+            size, closing_in = length / 2, True
+            continue
+        size = size if closing_in else control.grown(size, length, attempt)
+        seconds, found = perf_counter() - clock, tuple(attempt.findings)
+        done = Step(iterations=iterations, rejected=rejected, wall_time=seconds, nominal=nominal, findings=found)
+        step = control.accept(done)
+        if control.leg != leg:
+            size, leg, closing_in = 1.0, control.leg, False
+        bar.show(control.at(), control.share, step)
+        reporter.report(step.findings, control.at())
+        yield step
+        iterations, rejected, clock = 0, 0, perf_counter()
+
+
+def solver_of(problem: ContactProblem, solver: NewtonSolver | None, **options: Any) -> NewtonSolver:
+    """The solver that was passed, or one with these options.
+
+    Raises:
+        ValueError: if it is none, or that of another problem.
+    """
+    if solver is None:
+        return NewtonSolver(problem, **options)
+    if not isinstance(solver, NewtonSolver):
+        raise ValueError(f"solver: {type(solver).__name__} is not a NewtonSolver; leave it out for the default")
+    if solver.problem is not problem:
+        raise ValueError("solver: it solves another problem; make it from this one")
+    return solver
 
 
 class Event:
@@ -49,45 +205,44 @@ class Event:
         return happened
 
 
-class LoadWatch:
-    """Looks whether setting the load changes anything: bulk's residual, prescribed values, friction or an obstacle's pose.
+class Bar:
+    """Progress on standard error, drawn by rank 0; the contact state it shows is collective. Use it as a context, which
+    closes the bar whatever ends the march.
 
-    Use it as a context around the setting of a load; it stops looking at the first change.
+    Args:
+        problem: whose contact it shows.
+        shown: whether there is a bar at all.
     """
 
-    def __init__(self, problem: ContactProblem, load: Any) -> None:
-        self._problem, self._felt, self._b = problem, False, problem.bodies.layout.vector()
-        self._constant = isinstance(load, fem.Constant)
+    def __init__(self, problem: ContactProblem, shown: bool) -> None:
+        self._problem, self._bar = problem, None
+        if shown:
+            from tqdm import tqdm
 
-    def _state(self) -> NDArray[np.float64]:
-        self._problem.bodies.residual(self._b)
-        parts = [self._b.array_r, [pair.friction_coefficient for pair in self._problem.pairs]]
-        for pair in self._problem.pairs:
-            if isinstance(pair.target, RigidTarget):
-                pose = pair.target.obstacle.pose
-                parts += [pose.translation, pose.rotation.ravel()]
-        return np.concatenate(parts)
+            layout = "{percentage:3.0f}%|{bar:20}| {elapsed} {postfix}"
+            self._bar = tqdm(total=1.0, disable=problem.comm.rank != 0, bar_format=layout)
 
-    def __enter__(self) -> None:
-        if not self._felt:
-            self._before = self._state()
+    def __enter__(self) -> Bar:
+        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._felt or error is not None:
-            return
-        changed = not np.array_equal(self._before, self._state(), equal_nan=True)
-        self._felt = bool(self._problem.comm.allreduce(changed, MPI.LOR))
-        if self._constant:
-            self.report()
+        if self._bar is not None:
+            self._bar.close()
 
-    def report(self) -> None:
-        """Warn, on rank 0, if no setting of the load has changed anything."""
-        if not self._felt and self._problem.comm.rank == 0:
-            warnings.warn(
-                "load: setting it changes neither the residual nor a prescribed value: does the form have another Constant?",
-                ModelWarning,
-                stacklevel=4,
-            )
-        self._felt = True
+    def show(self, where: str, share: float, step: Step) -> None:
+        """A step was accepted, `share` of the whole way done (collective)."""
+        if self._bar is None:
+            return
+        pairs = [
+            f"{pair.name}: {pair.closed_fraction():.1%} closed, {pair.stick_fraction():.1%} stick"
+            for pair in self._problem.pairs
+        ]
+        self._bar.set_postfix_str("; ".join([where, f"{step.iterations} iterations", *pairs]), refresh=False)
+        self._bar.update(share - self._bar.n)
+
+    def rejected(self, where: str, why: str) -> None:
+        """A trial failed."""
+        if self._bar is not None and self._problem.comm.rank == 0:
+            self._bar.write(f"{where} rejected: {why}", file=sys.stderr)

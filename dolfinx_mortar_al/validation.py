@@ -30,6 +30,7 @@ __all__ = [
     "check_motions",
     "check_names",
     "check_residual",
+    "check_thickness",
     "constant_value",
     "listed",
     "number",
@@ -242,6 +243,22 @@ def check_motions(motions: Sequence[Any], displacements: Sequence[fem.Function])
             )
     if len(motions) != len(displacements):
         raise ValueError(f"motions: {len(motions)} for {len(displacements)} displacements; pass one each")
+
+
+def check_thickness(motions: Sequence[Any], pairs: Sequence[Any]) -> None:
+    """Contact forces and masses are of bodies of one thickness out of the plane (one that is UFL cannot be looked at).
+
+    Raises:
+        ValueError: where they differ.
+    """
+    for pair, (k, motion) in itertools.product(pairs, enumerate(motions)):
+        own, width = pair.contact.thickness, constant_value(motion.width)
+        surfaces = [surface for surface in (pair.contact.contactor, pair.contact.target) if hasattr(surface, "mesh")]
+        touches = any(surface.mesh is motion.u.function_space.mesh for surface in surfaces)
+        if touches and not isinstance(width, ufl.core.expr.Expr) and not math.isclose(own, width, rel_tol=1e-9):
+            raise ValueError(
+                f"thickness = {width:g} of motions[{k}], but {own:g} of the contact {pair.name!r}: pass the body's to both"
+            )
 
 
 def check_kinetic(energy: float) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from dolfinx_mortar_al import read_msh
 from meshes.two_beams import TwoBeams
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
@@ -89,8 +90,6 @@ def test_two_rings_keep_momenta_and_energy(monkeypatch, shared_path):
 
 def test_a_mesh_file_of_ones_own(shared_path):
     """The builder's .msh, read back in parallel with its tags."""
-    from dolfinx_mortar_al import read_msh
-
     beams = TwoBeams(along=(4, 5), across=2)
     path = shared_path / "beams.msh"
     if MPI.COMM_WORLD.rank == 0:
@@ -111,3 +110,19 @@ def test_a_mesh_file_of_ones_own(shared_path):
         MPI.COMM_WORLD.allreduce(len(np.intersect1d(cells.find(1), np.arange(mesh.topology.index_map(2).size_local))))
         == 8
     )
+
+
+def test_solid_cells_say_the_dimension_of_space(shared_path):
+    path = shared_path / "solid.msh"
+    if MPI.COMM_WORLD.rank == 0:
+        import gmsh
+
+        gmsh.initialize(interruptible=False)
+        gmsh.option.setNumber("General.Verbosity", 1)
+        TwoBeams(along=(2, 3), across=1, dim=3).build(gmsh)
+        gmsh.write(str(path))
+        gmsh.finalize()
+    MPI.COMM_WORLD.Barrier()
+    assert read_msh(path)[0].geometry.dim == 3
+    with pytest.raises(ValueError, match="cells of dimension 3 in space of dimension gdim = 2"):
+        read_msh(path, gdim=2)

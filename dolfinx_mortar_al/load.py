@@ -1,0 +1,211 @@
+"""Loads: what a march moves along a straight line, and the value that each has reached.
+
+A load is a UFL Constant, a number or a vector; a Function of prescribed values; or a function of one number that sets what
+depends on it. Its value, an array of components, stays with it from one march to the next: a Constant and a Function hold
+it themselves, that of a function is remembered here. Values are part of a problem's state, so that undoing a step and going
+on from a checkpoint bring them back.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.validation import check_callable, number
+
+__all__ = ["Load", "Loads", "Movable"]
+
+Array = NDArray[np.float64]
+
+#: what can be a load
+Movable = fem.Constant | fem.Function | Callable[[float], None]
+
+
+class Load(ABC):
+    """A load of a problem.
+
+    Attributes:
+        source: the Constant, Function or function.
+        label: its kind or name, without a dot.
+    """
+
+    source: Any
+    label: str
+
+    @property
+    @abstractmethod
+    def value(self) -> Array:
+        """(components,) a copy of the present value; of a Function those on this rank, ghosts included."""
+
+    @abstractmethod
+    def set(self, value: Array) -> None:
+        """Let the problem have another value (components,)."""
+
+    @abstractmethod
+    def end(self, name: str, to: Any) -> Array:
+        """(components,) of the value `to` that a user asks for under the argument `name`.
+
+        Raises:
+            ValueError: if it is no value of this load.
+        """
+
+    def is_of(self, source: Any) -> bool:
+        """Whether this is the load of a Constant, Function or function."""
+        return self.source is source
+
+    @property
+    def is_number(self) -> bool:
+        """Whether the load is one number."""
+        return True
+
+    @property
+    def number(self) -> float:
+        """The value of a load that is one number."""
+        return float(self.value[0])
+
+    @number.setter
+    def number(self, value: float) -> None:
+        self.set(np.array([value]))
+
+
+class _ConstantLoad(Load):
+    """A Constant of any shape, which holds its value itself."""
+
+    def __init__(self, source: fem.Constant) -> None:
+        self.source, self.label = source, "constant"
+
+    @property
+    def value(self) -> Array:
+        return np.array(self.source.value, dtype=np.float64).ravel()
+
+    def set(self, value: Array) -> None:
+        self.source.value = value.reshape(self.source.value.shape) if self.source.value.shape else float(value[0])
+
+    @property
+    def is_number(self) -> bool:
+        return self.source.value.shape == ()
+
+    def end(self, name: str, to: Any) -> Array:
+        shape = self.source.value.shape
+        if not shape:
+            return np.array([number(name, to)])
+        try:
+            result = np.array(to, dtype=np.float64)
+        except (TypeError, ValueError):
+            result = np.zeros(0)
+        if result.shape != shape or not np.isfinite(result).all():
+            raise ValueError(f"{name} = {to}: the load is a Constant of shape {shape}; pass as many finite numbers")
+        return result.ravel()
+
+
+class _FunctionLoad(Load):
+    """A Function, such as the values of a Dirichlet condition, which holds its value itself."""
+
+    def __init__(self, source: fem.Function) -> None:
+        self.source, self.label = source, "function"
+
+    @property
+    def value(self) -> Array:
+        return np.array(self.source.x.array, dtype=np.float64)
+
+    def set(self, value: Array) -> None:
+        self.source.x.array[:] = value
+
+    @property
+    def is_number(self) -> bool:
+        return False
+
+    def end(self, name: str, to: Any) -> Array:
+        V, aim = self.source.function_space, to
+        if not isinstance(to, fem.Function):
+            if not callable(to):
+                raise ValueError(
+                    f"{name} = {to}: the load is a Function; pass a Function of its space, or what interpolate takes"
+                )
+            aim = fem.Function(V)
+            aim.interpolate(to)
+            aim.x.scatter_forward()
+        elif to.function_space != V:
+            raise ValueError(f"{name}: a Function of another space than the load's")
+        return np.array(aim.x.array, dtype=np.float64)
+
+
+class _CalledLoad(Load):
+    """A function of one number; 0 before it was called."""
+
+    def __init__(self, source: Callable[[float], None]) -> None:
+        check_callable("load", source, "the load")
+        self.source, self._value = source, 0.0
+        self.label = str(getattr(source, "__name__", type(source).__name__)).replace(".", "_")
+
+    def is_of(self, source: Any) -> bool:
+        return bool(self.source == source)  # a bound method is made anew at each look
+
+    @property
+    def value(self) -> Array:
+        return np.array([self._value])
+
+    def set(self, value: Array) -> None:
+        self._value = float(value[0])
+        self.source(self._value)
+
+    def end(self, name: str, to: Any) -> Array:
+        return np.array([number(name, to)])
+
+
+class Loads:
+    """All loads that marches have moved, in the order in which they came: a member of a problem's state."""
+
+    def __init__(self) -> None:
+        self._loads: dict[str, Load] = {}  # by label, numbered among those of one
+        self._count: Counter[str] = Counter()
+        self._waiting: dict[str, Array] = {}  # restored before their loads came
+
+    def of(self, source: Any, name: str = "load") -> Load:
+        """The load of a Constant, Function or function; one that is new gets the value that a checkpoint had of it.
+
+        Raises:
+            ValueError: if it is none of them.
+        """
+        known = next((one for one in self._loads.values() if one.is_of(source)), None)
+        return self._add(source, name) if known is None else known
+
+    def _add(self, source: Any, name: str) -> Load:
+        new: Load
+        if isinstance(source, fem.Constant):
+            new = _ConstantLoad(source)
+        elif isinstance(source, fem.Function):
+            new = _FunctionLoad(source)
+        elif callable(source):
+            new = _CalledLoad(source)
+        else:
+            raise ValueError(
+                f"{name}: {type(source).__name__} is no load; pass a Constant, a Function of prescribed values, or a "
+                "function that is called with one number"
+            )
+        label = f"{new.label}_{self._count[new.label]}"
+        self._count[new.label] += 1
+        self._loads[label] = new
+        saved = self._waiting.pop(label, None)
+        if saved is not None and saved.shape == new.value.shape:
+            new.set(saved)
+        return new
+
+    def snapshot(self) -> dict[str, Array]:
+        """The value of each load on this rank."""
+        return {label: load.value for label, load in self._loads.items()}
+
+    def restore(self, saved: dict[str, Array]) -> None:
+        """Back to a snapshot; the values of loads that no march has moved yet wait for them."""
+        for label, value in saved.items():
+            load = self._loads.get(label)
+            if load is None:
+                self._waiting[label] = value
+            elif not np.array_equal(load.value, value):
+                load.set(value)

@@ -1,0 +1,97 @@
+"""Prediction of the next state by polynomials through the last ones, along a straight line of loading."""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.problem import ContactProblem, Snapshot
+
+__all__ = ["Predictor"]
+
+MAX_ORDER = 4  # of the polynomial
+BETTER = 3.0  # factor by which a higher order must have been better to be used: measured, docs/newton.md
+
+
+class Predictor:
+    """The last converged states and their abscissae, for extrapolation and for undoing a failed step.
+
+    Args:
+        problem: in its start state, whose contact is a guess.
+    """
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self.problem = problem
+        self._abscissae: list[float] = []
+        self._states: list[Snapshot] = []
+        self._guesses = 1  # among the states: the start's contact
+        #: of each predicted array, the polynomial order to predict it with
+        self._order = {(member, name): 1 for member, name in self._predicted()}
+
+    def _predicted(self) -> list[tuple[str, str]]:
+        """What is extrapolated: member and name of arrays of a snapshot."""
+        return [("bodies", "u"), *((f"pair{k}", "multiplier") for k in range(len(self.problem.pairs)))]
+
+    def add(self, abscissa: float) -> None:
+        """A state has converged; choose the polynomial orders that would have predicted it well."""
+        state = self.problem.snapshot()
+        for array in self._order:
+            self._order[array] = self._best_order(state, array, abscissa)
+        self._abscissae, self._states = [*self._abscissae, abscissa], [*self._states, state]
+        if len(self._states) > MAX_ORDER + 1:
+            del self._abscissae[0], self._states[0]
+            self._guesses = 0
+
+    def turn(self, scale: float) -> None:
+        """From here on the abscissa is another: 0 at the last state and `scale` times the distances there were; 0 where
+        loading takes another direction, in which the states before say nothing of what comes."""
+        if scale <= 0.0 and len(self._states) > 1:
+            del self._abscissae[:-1], self._states[:-1]
+            self._guesses = 0
+            self._order = dict.fromkeys(self._order, 1)
+        self._abscissae = [scale * (x - self._abscissae[-1]) for x in self._abscissae]
+
+    def restore(self) -> None:
+        """Undo: back to the last converged state."""
+        self.problem.restore(self._states[-1])
+
+    def predict(self, abscissa: float) -> None:
+        """Displacement and multipliers extrapolated to an abscissa; and λ̂_N, which says what points to expect closed,
+        linearly and half the way only: too much closed costs more iterations than too little (docs/newton.md). The last
+        state itself, where an extrapolated one has inverted cells."""
+        self._states[-1]["loads"] = self.problem.loads.snapshot()  # the caller may have moved others since
+        self.restore()
+        if len(self._states) < 2:
+            return
+        problem = self.problem
+        problem.bodies.set(self._extrapolated(("bodies", "u"), abscissa, self._order["bodies", "u"]))
+        if problem.inverted_volume() > 0:
+            self.restore()
+            return
+        for k, pair in enumerate(problem.pairs):
+            name = f"pair{k}"
+            predicted = dict(self._states[-1][name])
+            array = name, "multiplier"
+            predicted["multiplier"] = self._extrapolated(array, abscissa, self._order[array])
+            if len(self._states) - self._guesses > 1:
+                predicted["λN_hat"] = self._extrapolated((name, "λN_hat"), (abscissa + self._abscissae[-1]) / 2, 1)
+            pair.restore(predicted)
+
+    def _extrapolated(self, array: tuple[str, str], abscissa: float, order: int) -> NDArray[np.float64]:
+        """An array of the last order + 1 snapshots, extrapolated to an abscissa by Lagrange's polynomial."""
+        x = np.array(self._abscissae[-order - 1 :])
+        weights = np.array([np.prod([(abscissa - b) / (a - b) for b in x if b != a]) for a in x])
+        member, name = array
+        return np.asarray(weights @ np.stack([state[member][name] for state in self._states[-len(x) :]]))
+
+    def _best_order(self, state: Snapshot, array: tuple[str, str], abscissa: float) -> int:
+        """The order that would have predicted `state` best; a higher one only where it is BETTER times as good."""
+        member, name = array
+        best, least = 1, np.inf
+        for order in range(1, min(MAX_ORDER + 1, len(self._states))):
+            miss = state[member][name] - self._extrapolated(array, abscissa, order)
+            size = np.sqrt(self.problem.comm.allreduce(float(miss @ miss), MPI.SUM))
+            if size * BETTER < least:
+                best, least = order, size
+        return best

@@ -1,0 +1,174 @@
+"""What can move: several materials, membranes, forms of one's own; and what the ledger says of their energy."""
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, membrane, obstacles
+from dolfinx_mortar_al.internal_work import CONSISTENT, WORK
+
+E, NU, DENSITY = 1e5, 0.3, 1e3
+
+
+def square():
+    """A unit square 0.5 m above the floor: displacement, measures of its halves, tags of its bottom facets."""
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [(0.0, 0.5), (1.0, 1.5)], (4, 4), mesh.CellType.quadrilateral)
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    cells = np.arange(domain.topology.index_map(2).size_local + domain.topology.index_map(2).num_ghosts, dtype=np.int32)
+    right = (mesh.compute_midpoints(domain, 2, cells)[:, 0] > 0.5).astype(np.int32)
+    bottom = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 0.5))
+    facets = mesh.meshtags(domain, 1, np.sort(bottom), np.full(len(bottom), 1, dtype=np.int32))
+    return u, ufl.Measure("dx", domain, subdomain_data=mesh.meshtags(domain, 2, cells, right)), facets
+
+
+def stretching(x):
+    return np.stack([2 * (x[0] - 0.3) - (x[1] - 1.0), -3.0 + 2 * (x[0] - 0.3)])
+
+
+def fall(motion, facets, to, friction=0.3, thickness=1.0, side=None):
+    """The ledgers of the flight and impact on the floor."""
+    motion.velocity.interpolate(stretching)
+    contactor = Surface(motion.u.function_space.mesh, facets, 1, side=side)
+    contact = Contact(contactor, obstacles.RigidPlane([0, 0], [0, 1]), friction=friction, thickness=thickness)
+    problem = ContactProblem(motion.residual, motion.u, contacts=[contact])
+    return [step.ledger for step in dynamics.march(problem, motion, to=to)]
+
+
+def test_two_materials_keep_energy_and_momenta():
+    """In flight: energy and both momenta to round-off; each part's energies are those of its measure."""
+    u, dx, facets = square()
+    laws = [(materials.neo_hookean(E, NU), dx(0)), (materials.saint_venant_kirchhoff(5 * E, NU), dx(1))]
+    motion = dynamics.Motion(u, laws, density=[DENSITY, 3 * DENSITY], step=5e-3)
+    assert motion.mass == pytest.approx(2 * DENSITY, rel=1e-12)
+    motion.velocity.interpolate(stretching)
+    energy, momenta = sum(motion.energies()), motion.momenta()
+    last = fall(motion, facets, 0.05)[-1]
+    assert last.known == CONSISTENT
+    assert last.strain > 0.01 * energy
+    assert last.total == pytest.approx(energy, rel=1e-9)
+    assert np.allclose(motion.momenta(), momenta, rtol=0, atol=1e-9 * np.abs(momenta).max())
+    parts = np.array([[motion.integral(form) for form in motion.energy_forms(dx(k))] for k in (0, 1)])
+    assert np.allclose(parts.sum(axis=0), motion.energies(), rtol=1e-12)
+
+
+def test_two_parts_of_one_material_are_one_body():
+    u, dx, facets = square()
+    law, ledgers = materials.neo_hookean(E, NU), []
+    for parts in (law, [(law, dx(0)), (law, dx(1))]):
+        u.x.array[:] = 0.0
+        ledgers.append(fall(dynamics.Motion(u, parts, density=DENSITY, step=2e-2), facets, 0.3)[-1])
+    one, two = ledgers
+    assert one.impact_loss > 0
+    for name in ("kinetic", "strain", "impact_loss", "friction_dissipation"):
+        assert getattr(two, name) == pytest.approx(getattr(one, name), rel=1e-7), name
+
+
+def test_a_form_of_ones_own():
+    """A law written as a form, with gravity as external work: the ledger is kept by the work of internal forces, and says so;
+    that work is the stored energy's change up to the trapezoidal rule's error, which falls with Δt²."""
+    misses = []
+    for step in (1e-2, 5e-3):
+        u, dx, facets = square()
+        law = materials.neo_hookean(E, NU)
+        w = ufl.TestFunction(u.function_space)
+        weight = DENSITY * ufl.inner(ufl.as_vector([0.0, -9.81]), w) * dx
+        motion = dynamics.Motion(u, law.virtual_work(u, dx=dx), density=DENSITY, step=step, external=weight)
+        ledgers = fall(motion, facets, 0.3)
+        last = ledgers[-1]
+        assert last.known == WORK
+        assert last.impact_loss > 0
+        assert last.external_work > 0
+        assert abs(last.energy_defect) < 1e-8 * last.total
+        stored = motion.integral(fem.form(law.energy(materials.deformation_gradient(u)) * materials.cell_measure(u)))
+        misses.append(abs(stored - last.strain) / stored)
+    assert misses[1] < 0.5 * misses[0] < 0.1
+
+
+def sheet(dim):
+    """A flat membrane of unit side on y = 0.5, in the plane or in space: displacement and tags of all its cells."""
+    if dim == 2:
+        line = mesh.create_interval(MPI.COMM_SELF, 6, (0.0, 1.0))
+        points = np.stack([line.geometry.x[:, 0], np.full(7, 0.5)], axis=1)
+        cells, element = line.geometry.dofmap, ("interval", 1)
+    else:
+        flat = mesh.create_unit_square(MPI.COMM_SELF, 3, 3, mesh.CellType.quadrilateral)
+        points = np.stack([flat.geometry.x[:, 0], np.full(len(flat.geometry.x), 0.5), flat.geometry.x[:, 1]], axis=1)
+        cells, element = flat.geometry.dofmap, ("quadrilateral", 1)
+    import basix.ufl
+
+    domain = mesh.create_mesh(MPI.COMM_SELF, cells, points, basix.ufl.element("Lagrange", *element, shape=(dim,)))
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (dim,))))
+    count = domain.topology.index_map(dim - 1).size_local
+    return u, mesh.meshtags(domain, dim - 1, np.arange(count, dtype=np.int32), np.ones(count, dtype=np.int32))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("nu", [0.0, 0.45])
+def test_membrane_stress_does_the_work_of_its_energy(dim, nu):
+    """∫ P : (F₁ − F₀) is the change of energy, for changes of any size; and P = ∂w/∂F, by differences."""
+    u, _ = sheet(dim)
+    law, d = membrane.neo_hookean_membrane(1.0, nu, 1.0), dim - 1
+    old, rng = u.copy(), np.random.default_rng(dim)
+    old.x.array[:] = 0.2 * rng.standard_normal(len(old.x.array))
+    F0, F1, dx = membrane.tangent_gradient(old), membrane.tangent_gradient(u), ufl.Measure("dx", u.function_space.mesh)
+    dx = dx(degree=2)
+    work = fem.form(ufl.inner(law.mean_first_piola(F0, F1, d), F1 - F0) * dx)
+    energies = [fem.form(law.energy(F, d) * dx) for F in (F0, F1)]
+    tangent = fem.form(ufl.inner(law.first_piola(F0, d), F1 - F0) * dx)
+    way = rng.standard_normal(len(old.x.array))
+    for size in (0.2, 1e-3, 1e-6):
+        u.x.array[:] = old.x.array + size * way
+        change = np.diff([fem.assemble_scalar(form) for form in energies])[0]
+        assert fem.assemble_scalar(work) == pytest.approx(change, abs=1e-14)
+    assert fem.assemble_scalar(tangent) == pytest.approx(change, rel=1e-4)
+    exact = fem.assemble_scalar(work)
+    u.x.array[:] = old.x.array + 1e-9 * way  # where the mean stress is the stress of the mean
+    assert fem.assemble_scalar(work) == pytest.approx(1e-3 * exact, rel=1e-4)
+
+
+def test_a_membrane_bounces_and_keeps_its_energy():
+    """A flat, slack sheet thrown at the floor: contact takes what the impact of nodes takes, and nothing else is lost."""
+    u, cells = sheet(2)
+    law = membrane.neo_hookean_membrane(E, NU, 1e-2)
+    motion = dynamics.Motion(u, law, density=DENSITY, step=5e-3)
+    assert motion.mass == pytest.approx(DENSITY * 1e-2, rel=1e-12)
+    motion.velocity.interpolate(lambda x: np.stack([x[0] - 0.5, -3.0 - 2 * (x[0] - 0.3)]))
+    energy = sum(motion.energies())
+    contact = Contact(Surface(u.function_space.mesh, cells, 1, side=[0, -1]), obstacles.RigidPlane([0, 0], [0, 1]))
+    problem = ContactProblem(motion.residual, u, contacts=[contact])
+    ledgers = [step.ledger for step in dynamics.march(problem, motion, to=0.25)]
+    assert ledgers[-1].impact_loss > 0
+    assert ledgers[-1].known == CONSISTENT
+    assert max(abs(ledger.energy_defect) for ledger in ledgers) < 1e-9 * energy
+
+
+def test_what_cannot_move():
+    u, dx, facets = square()
+    law = materials.neo_hookean(E, NU)
+    for material, density, words in [
+        ([(law, dx(0))], DENSITY, "8 cells belong to no part and 0 to several"),
+        ([(law, dx(0)), (law, dx)], DENSITY, "0 cells belong to no part and 8 to several"),
+        ([(law, dx(0)), (law, dx(1))], [DENSITY], "density: 1 of them for 2"),
+        ([law], DENSITY, r"material\[0\]: .* is no \(law or form, measure\)"),
+        ("steel", DENSITY, "material: str is no material"),
+        (membrane.neo_hookean_membrane(E, NU, 1.0), DENSITY, "is for a membrane"),
+        (law.energy(ufl.Identity(2)) * dx, DENSITY, "material has no test function"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            dynamics.Motion(u, material, density=density, step=1e-3)
+    motion = dynamics.Motion(u, law, density=DENSITY, step=1e-3, thickness=0.02)
+    with pytest.raises(ValueError, match=r"thickness = 0\.02 of motions\[0\], but 1 of the contact 'contact'"):
+        fall(motion, facets, 1.0)
+
+
+def test_parts_of_other_quadrature_lose_nothing():
+    """Equal integrands on two parts with measures of other degrees: mass, momentum and energy of both."""
+    u, dx, _ = square()
+    law = materials.saint_venant_kirchhoff(E, NU)
+    motion = dynamics.Motion(u, [(law, dx(0)), (law, dx(1, degree=4))], density=DENSITY, step=1e-3)
+    motion.velocity.interpolate(lambda x: np.stack([2.0 + 0 * x[0], 0 * x[0]]))
+    assert motion.mass == pytest.approx(DENSITY, rel=1e-12)
+    assert motion.kinetic_energy() == pytest.approx(2 * DENSITY, rel=1e-12)
+    assert motion.momenta()[0] == pytest.approx(2 * DENSITY, rel=1e-12)
