@@ -53,9 +53,13 @@ def march(
     verbose: bool = False,
     integration: str = "gauss",
     ε: float | None = None,
+    smallest: float = 2.0**-10,
 ) -> dict[str, Any]:
-    """One run of a scene, with `refinement` times as many increments: steps (per asked-for increment the iterations, rejected
-    trials and facets of sliding), forces at the end of each stage, error, checks of the last state."""
+    """One run of a scene, with `refinement` times as many increments, none less than `smallest` of them.
+
+    The result has steps (per asked-for increment the iterations, rejected trials and facets of sliding), forces at the end of
+    each stage, error, checks of the last state.
+    """
     from robustness_model import Model
 
     from dolfinx_mortar_al import quasistatic
@@ -69,7 +73,12 @@ def march(
         for k, stage in enumerate(scene.stages):
             count = [0, 0]
             steps = quasistatic.march(
-                model.problem, model.set_load(k), to=1.0, increments=refinement * stage.increments, start=0.0
+                model.problem,
+                model.set_load(k),
+                to=1.0,
+                increments=refinement * stage.increments,
+                start=0.0,
+                smallest=smallest,
             )
             for step in steps:
                 count = [count[0] + step.iterations, count[1] + step.rejected]

@@ -62,6 +62,9 @@ class Checkpoint:
         self._directory, self._problem = Path(directory), problem
         self._motions = [motions] if isinstance(motions, Motion) else list(motions)
         problem.members |= {f"motion{k}": motion for k, motion in enumerate(self._motions)}
+        if self._motions:  # what a step keeps at points is part of the state that is loaded
+            for pair in problem.pairs:
+                pair.use_steps()
         self._slot, self._serial = 0, 0
         on_root(problem.comm, lambda: self._directory.mkdir(parents=True, exist_ok=True))
 

@@ -33,8 +33,8 @@ from dolfinx_mortar_al.self_target import SelfTarget
 from dolfinx_mortar_al.step_level import StepLevel
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.surface import Facets, GatheredFacets, Surface
-from dolfinx_mortar_al.swept import DEPTH, passed_through
 from dolfinx_mortar_al.targets import DeformableTarget, RigidTarget, Target, target_of
+from dolfinx_mortar_al.unfelt import Converged, Unfelt
 from dolfinx_mortar_al.validation import constant_value, number, whole
 
 __all__ = ["Contact", "ContactPair"]
@@ -44,7 +44,6 @@ Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 Decisions = tuple[IntegrationPoints, tuple[Bool, Index, bool]]
 
-PASSED = "the step has carried one part of the surface through another; take smaller steps"
 SOFTER = 0.125  # ε over what the bulk yields to pressure at the surface (docs/newton.md)
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
 FIRMEST = 10.0  # the same for ε_N in time steps: partly closed facets overlap by p/ε_N
@@ -184,6 +183,8 @@ class ContactPair(PairResults):
         #: whether segments stay where they are, whatever moves
         self.holds_points = False
         self.segments = self._make_segments()
+        self._bodies = bodies
+        self._unfelt: Unfelt | None = None  # impact does without
 
     # ---------------------------------------------------------------- set-up
 
@@ -336,7 +337,8 @@ class ContactPair(PairResults):
         """
         k = self.kinematics
         self.target.refresh()
-        self._remember()
+        none = np.zeros(self.facets.size, dtype=bool), np.zeros(len(self.target.facets), dtype=bool)
+        self._converged = Converged(k.nodes(), self.target.place, *none)
         self.follow_segments()
         k.set_history(self.target.closest(k.positions()).point)
         k.evaluate()
@@ -345,6 +347,7 @@ class ContactPair(PairResults):
         self.active.closed = k.may_close & (k.at.g >= -k.touch)
         self.active.begin()
         self.evaluate()
+        self._remember()
         self._check_sides()
 
     def _divide(self) -> None:
@@ -451,27 +454,41 @@ class ContactPair(PairResults):
     def begin_step(self) -> None:
         """A time step starts from the present displacements. Segments follow the bodies on facets without a closed point; on
         the others they stay, as points that move under pressure would give energy (``docs/impact.md``)."""
-        if self.segments is None:
-            return
-        self.target.refresh()
-        self.segments.forget()
-        points = self.segments.follow(self.kinematics.nodes(), self.target.nodes)
-        assert points is not None
-        held = self.integration.sum_by_facet(self.active.closed.astype(float)) > 0
-        self._adopt(self.integration.spliced(points, held))
-        self.evaluate()
+        level = self.kinematics
+        assert isinstance(level, StepLevel)
+        if self.segments is not None:
+            self.target.refresh()
+            self.segments.forget()
+            points = self.segments.follow(level.nodes(), self.target.nodes)
+            assert points is not None
+            held = self.integration.sum_by_facet(self.active.closed.astype(float)) > 0
+            self._adopt(self.integration.spliced(points, held))
+            self.evaluate()
+            if not self.active.guessed:
+                level.excuse(*self._decided())
+        level.begin(*self._decided())
+
+    def _decided(self) -> tuple[Bool, Array]:
+        """(n,) which points are closed; (n,) the penetration (m) from which eq. (1) closes each, multipliers as they are."""
+        return self.state.status != OPEN, np.asarray(-self._normal_multiplier() / self.epsilon.normal)
 
     def _adopt(self, points: IntegrationPoints) -> None:
         """Integrate at these points from now on."""
         origin = self.integration.nearest(points.facet, points.η)
         self.integration = points
-        self.kinematics.take(points, *self._converged)
+        self.kinematics.offset = self.kinematics.offset[origin]
+        before = self._converged
+        assert isinstance(before.place, np.ndarray)  # a rigid target has no segments
+        self.kinematics.take(points, before.nodes, before.place)
         self.blocks.take(points)
         self.active.transfer(origin)
 
     def _remember(self) -> None:
-        """Keep where the bodies' nodes are: slip is counted from there, wherever points will be."""
-        self._converged = self.kinematics.nodes(), self.target.nodes.copy()
+        """Keep where the bodies' nodes are: slip is counted from there, wherever points will be; and what is in contact."""
+        k, closed = self.kinematics, self.active.closed
+        own, faced = np.zeros(self.facets.size, dtype=bool), np.zeros(len(self.target.facets), dtype=bool)
+        own[self.integration.facet[closed]], faced[k.at.point.facet[closed]] = True, True
+        self._converged = Converged(k.nodes(), self.target.place, own, faced)
 
     def apply_law(self) -> None:
         """What eq. (1) says with the active set as it is."""
@@ -520,24 +537,25 @@ class ContactPair(PairResults):
             self.set_law(self.stiffness, FIRMER, FIRMEST)
         return self.kinematics
 
-    def passed_through(self) -> Finding | None:
-        """In statics, of a surface in contact with itself, points that the step has carried through it (collective): a
-        ray finds what lies in front of its point, wherever that has come from."""
-        if not isinstance(self.target, SelfTarget) or isinstance(self.kinematics, StepLevel):
-            return None
-        now, (contactor, before) = self.kinematics.contactor(), self._converged
-        free = np.flatnonzero(self.state.status == OPEN)
-        x0 = self.integration.interpolate(contactor)[free]
-        surface, depth, counts = self.target.surface, DEPTH * self.target.size, self.target.crossable(now, free)
-        passed = passed_through(surface, before, self.target.nodes, x0, now.x[free], depth, counts)
-        X = [tuple(x) for part in self.comm.allgather(self.points()[free[passed]].tolist()) for x in part]
-        return Finding(f"{self.name}: points passed through", float(len(X)), X[0], PASSED, True) if X else None
+    def unfelt(self) -> list[Finding]:
+        """In statics, what contact has not felt: surfaces that a step has carried through each other, and overlaps between
+        the integration points (collective)."""
+        if isinstance(self.kinematics, StepLevel):
+            return []
+        if self._unfelt is None:
+            c = self.contact
+            surface = c.target if isinstance(c.target, Surface) else None
+            self._unfelt = Unfelt(c.contactor, self.facets, self.target, surface, self._bodies, self.name)
+        k, closed = self.kinematics, self.state.status != OPEN
+        return self._unfelt.look(self.integration, k.contactor(), k.at, closed, self._converged)
 
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip, but for what multipliers of the nodes do not
         see of it, which acts on at each point by ε_T: forgotten in each step, it would let stuck points creep."""
         law = self.law
         self.kinematics.commit(law.unspent(self.state, self.kinematics.at) if isinstance(law, Coulomb) else None)
+        if isinstance(self.kinematics, StepLevel):
+            self.kinematics.excuse(*self._decided())
         self._remember()
         self.active.guessed = False
 
@@ -549,13 +567,14 @@ class ContactPair(PairResults):
             "guessed": np.array(self.active.guessed),
         }
         if self.segments is None:
-            arrays |= {"λN_hat": self.state.λN_hat.copy(), "facet": history.facet.copy(), "η": history.η.copy()}
-            arrays |= {"ρ": self.kinematics.ρ.copy()}
+            arrays |= {"λN_hat": self._expected(), "facet": history.facet.copy(), "η": history.η.copy()}
+            arrays |= {"ρ": self.kinematics.ρ.copy(), "offset": self.kinematics.offset.copy()}
         else:  # in statics no array may depend on where the segments are
             arrays |= self._state_at_points()
-        if self.segments is not None or self.target.is_contactor:
-            contactor, target = self._converged
-            arrays |= {"contactor": contactor.copy(), "target": target.copy()}
+        before = self._converged
+        arrays |= {name: getattr(before, name).astype(float) for name in ("nodes", "closed", "faced")}
+        if isinstance(before.place, np.ndarray):
+            arrays["target"] = before.place.copy()
         if isinstance(self.target, SelfTarget):
             arrays["role"] = self.target.role.copy()
         if isinstance(self.target, RigidTarget):
@@ -572,11 +591,13 @@ class ContactPair(PairResults):
         if isinstance(self.target, RigidTarget):
             self.target.obstacle.pose = Pose(saved["translation"], saved["rotation"])
         λN_hat = saved["λN_hat"]
-        if "contactor" in saved:
-            self._converged = saved["contactor"].copy(), saved["target"].copy()
+        place = saved["target"].copy() if "target" in saved else self.target.place
+        was = (saved[name].astype(bool) for name in ("closed", "faced"))
+        self._converged = Converged(saved["nodes"].copy(), place, *was)
         if self.segments is None:
             point = TargetPoint(saved["facet"].astype(np.int64), saved["η"].copy())
             self.kinematics.set_history(point, saved["ρ"].copy())
+            self.kinematics.offset = saved["offset"].copy()
         else:
             self.target.refresh()
             self.segments.forget()
@@ -585,6 +606,7 @@ class ContactPair(PairResults):
                 weight = saved["points_weight"].copy()
                 self._adopt(IntegrationPoints(self.facets, facet, η, weight, self.contact.thickness))
                 λN_hat = saved["points_λN_hat"]
+                self.kinematics.offset = saved["points_offset"].copy()
             else:
                 self.follow_segments()
                 λN_hat = λN_hat[self.gauss.nearest(self.integration.facet, self.integration.η)]
@@ -603,8 +625,14 @@ class ContactPair(PairResults):
             "points_facet": points.facet[:k].astype(float),
             "points_η": points.η[:k].copy(),
             "points_weight": points.weight[:k].copy(),
-            "points_λN_hat": self.state.λN_hat[:k].copy(),
+            "points_λN_hat": self._expected()[:k],
+            "points_offset": self.kinematics.offset[:k].copy(),
         }
+
+    def _expected(self) -> Array:
+        """(n,) λ̂_N (Pa), from which the active set is restored: −∞ at points that time steps leave open whatever it says."""
+        λN_hat, held = self.state.λN_hat, isinstance(self.kinematics, StepLevel)
+        return np.where(self.active.closed, λN_hat, -np.inf) if held else λN_hat.copy()
 
     def _λN_hat_at_gauss(self) -> Array:
         """(ng,) λ̂_N (Pa) at the Gauss points, which stay where they are while segments move."""

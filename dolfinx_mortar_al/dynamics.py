@@ -96,8 +96,8 @@ def march(
         motions: one per displacement of the problem.
         to, start: final and initial time (s).
         move: sets all that depends on time: poses of obstacles, Dirichlet values.
-        tolerance: local error of the displacements (m, root mean square) by which Δt is chosen, never longer than the
-            motions' own; by default it is theirs.
+        tolerance: local error of the displacements (m, root mean square over the body where it is largest) by which Δt is
+            chosen, never longer than the motions' own; by default it is theirs.
         solver: default one with tolerance RTOL.
         smallest: Δt, relative to the motions' own, below which the march gives up.
         ledger: to go on with, from an earlier march.
@@ -263,9 +263,8 @@ class _TimeControl(Controller[Step]):
         for motion in self.motions:
             motion.undo()
         self.move(time)
-        for pair, level in zip(self.problem.pairs, self.levels, strict=True):
+        for pair in self.problem.pairs:
             pair.begin_step()
-            level.begin()
         self.move(time + Δt)
         for motion in self.motions:
             motion.guess()
@@ -308,15 +307,16 @@ class _TimeControl(Controller[Step]):
         return _Work(normal, tangential, by_obstacles, self.ledger.contact - stored - normal)
 
     def _local_error(self, Δt: float) -> float:
-        """What the mid-point rule leaves out in this step, Δt³ 𝐮‴/12, as root mean square over all components (m); for Δt 𝐮‴
-        the jump of the mean acceleration from the last step (zero at the start) to this one."""
+        """What the mid-point rule leaves out in this step, Δt³ 𝐮‴/12 (m): the root mean square over the components of each
+        connected body, of which the largest, so that those at rest do not hide what a small one does. For Δt 𝐮‴ the jump of
+        the mean acceleration from the last step (zero at the start) to this one."""
         new = [2 / Δt**2 * (m.u.x.array - m.old.x.array) - 2 / Δt * m.velocity.x.array for m in self.motions]
         sizes = [m.u.function_space.dofmap.index_map.size_local * self.problem.gdim for m in self.motions]
         rate = np.concatenate([a[:n] for a, n in zip(new, sizes, strict=True)])
         jump = rate if self._rate is None else rate - self._rate  # a start without acceleration may be an impact
         self._next_rate = rate
-        square, count = self.problem.comm.allreduce(np.array([float(jump @ jump), float(len(jump))]))
-        return float(Δt**2 / 12 * np.sqrt(square / max(count, 1.0)))
+        bodies = self.problem.bodies
+        return float(Δt**2 / 12 * (bodies.norms(jump) / bodies.norms(np.ones(len(jump)))).max())
 
     def _inertia_scale(self, Δt: float) -> float:
         """Norm of nodal momenta per Δt (N), roughly: the size of forces that a step of this length resolves."""

@@ -60,6 +60,8 @@ class Kinematics(ABC):
         touch: gaps below are round-off (m).
         history: (n,) the target's points Y_{n−1} that the slip is counted from.
         ρ: (n, gdim) 𝐱 − φ₂(Y_{n−1}) of step n − 1 in the target's frame there (`carried.py`), 0 where it is not needed.
+        offset: (n,) depth from which the law counts a point's penetration (m): that at which a time step brought it into
+            sight (`step_level.py`), infinite where it takes no part; zero in statics.
     """
 
     x: Array
@@ -71,6 +73,7 @@ class Kinematics(ABC):
         self.points, self.target, self.friction = points, target, friction
         self.touch = 1e-12 * target.size
         self._u = u
+        self.offset: Array = np.zeros(points.size)
         self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros((points.size, points.η.shape[1])))
         self.ρ: Array = np.zeros((points.size, points.facets.X.shape[2]))
 

@@ -346,7 +346,7 @@ class Profile:
 
 def contact_profile(problem: ContactProblem, pair: ContactPair) -> Profile | None:
     """The pair's contact state gathered on rank 0 (else None)."""
-    mine = (pair.points(), pair.positions(), pair.state.p, pair.state.t, -pair.at.g, pair.state.status)
+    mine = (pair.points(), pair.positions(), pair.state.p, pair.state.t, -pair.kinematics.faced.g, pair.state.status)
     gathered = problem.comm.gather(mine, root=0)
     if gathered is None:
         return None

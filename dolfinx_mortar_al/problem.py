@@ -354,10 +354,10 @@ class ContactProblem:
 
     def findings(self) -> list[Finding]:
         """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse, whose
-        surfaces are prescribed to overlap or have passed through themselves (collective)."""
+        surfaces are prescribed to overlap, have passed through each other or overlap unfelt (collective)."""
         looks = [monitor.look() for monitor in self.monitors]
         for pair in self.pairs:
-            looks += [pair.coarse_integration(), pair.prescribed_overlap(), pair.passed_through()]
+            looks += [pair.coarse_integration(), pair.prescribed_overlap(), *pair.unfelt()]
         return [finding for finding in looks if finding is not None]
 
     def evaluate(self) -> None:

@@ -88,13 +88,16 @@ class PairResults:
     def stored_energy(self) -> float:
         """∫ (p² − λ_N²)/(2ε_N) dS₀ (J), collective: what the augmentation holds where facets are partly closed. It is the
         potential of the normal contact forces, convex in the gaps and zero where nothing touches."""
-        λN = self._Λ[:, 0] if self._Λ.shape[1] == 1 else np.einsum("ni,ni->n", self._Λ, self.at.ν)
-        density = (self.state.p**2 - λN**2) / (2 * self.epsilon.normal)
+        density = (self.state.p**2 - self._normal_multiplier() ** 2) / (2 * self.epsilon.normal)
         return float(self.comm.allreduce(float(self.j @ density)))
+
+    def _normal_multiplier(self) -> Array:
+        """(n,) λ_N at the points (Pa)."""
+        return self._Λ[:, 0] if self._Λ.shape[1] == 1 else np.asarray(np.einsum("ni,ni->n", self._Λ, self.at.ν))
 
     def penetration(self) -> float:
         """Largest penetration of a closed point (m), collective."""
-        deep = self.kinematics.at.g[self.state.status != OPEN]
+        deep = self.kinematics.faced.g[self.state.status != OPEN]
         return float(self.comm.allreduce(float(deep.max(initial=0.0)), MPI.MAX))
 
     def nodal_forces(self) -> float:

@@ -50,7 +50,7 @@ class SelfTarget(DeformableTarget):
     def __init__(self, surface: Surface, facets: Facets, bodies: Bodies) -> None:
         self._thickness: _Thickness | None = None
         super().__init__(surface, bodies, uses_rays=True)
-        self.own = _among(facets, self.surface)
+        self.own = self.surface.places_of(facets)
         self.role: Index = np.zeros(len(self.facets), dtype=np.int64)
         self._depth: Array = np.full(facets.size, DEEP * self.size)  # of a membrane, which has no thickness
         if not surface.is_membrane:
@@ -149,14 +149,3 @@ def _far_side(outer: GatheredFacets, x: Array, normal: Array) -> tuple[TargetPoi
     found[row[first]] = True
     point.facet[row[first]], point.η[row[first]] = facet[first], η[first]
     return point, found
-
-
-def _among(facets: Facets, gathered: GatheredFacets) -> Index:
-    """(nf,) which of the gathered facets each of this rank's is, by its nodes."""
-    mine = facets.space.dofmap.index_map.local_to_global(facets.dofs.ravel()).reshape(facets.dofs.shape)
-    every = np.sort(gathered.blocks[gathered.facets], axis=1)
-    mine = np.sort(mine, axis=1)
-    rows = np.unique(np.concatenate([every, mine]), axis=0, return_inverse=True)[1].ravel()
-    place = np.empty(rows.max(initial=-1) + 1, dtype=np.int64)
-    place[rows[: len(every)]] = np.arange(len(every))
-    return place[rows[len(every) :]]

@@ -22,6 +22,7 @@ from dolfinx_mortar_al.kinematics import Forces, Kinematics
 from dolfinx_mortar_al.law import OPEN, STICK, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.lever import Lever
 from dolfinx_mortar_al.projection import Projection, TargetPoint, dot
+from dolfinx_mortar_al.rays import DEEP
 from dolfinx_mortar_al.swept import DEPTH, passed_through
 from dolfinx_mortar_al.targets import DeformableTarget, Place
 from dolfinx_mortar_al.variation import Slots, Variation, scaled_normal, vary_gap
@@ -84,12 +85,15 @@ class StepLevel(Kinematics):
     def __init__(self, before: Kinematics) -> None:
         super().__init__(before.points, before._u, before.target, before.friction)
         self.x, self.at, self.s, self.may_close = before.x, before.at, before.s, before.may_close
+        self.offset = before.offset
         self.set_history(before.history)
         self.end = self.pair = self.at
         self._place: Place | None = None
         self._remember()
         self._known: Bool = np.zeros(self.points.size, dtype=bool)
         self._g0: Array = np.zeros(self.points.size)
+        self._was_open: Bool = np.zeros(self.points.size, dtype=bool)
+        self._closes: Array = np.zeros(self.points.size)
         self._follows = 0
 
     # ---------------------------------------------------------------- a step
@@ -99,9 +103,9 @@ class StepLevel(Kinematics):
         if self.target.is_rigid:
             self.pair = self.target.project(self.contactor())
 
-    def begin(self) -> None:
-        """The step starts from the present displacements. The points and directions of a deformable target are chosen in the
-        first iterations."""
+    def begin(self, closed: Bool | None = None, closes: Array | None = None) -> None:
+        """The step starts from the present displacements; `closed` and `closes` as in :meth:`excuse`. The points and
+        directions of a deformable target are chosen in the first iterations."""
         self.target.refresh()
         if self.target.is_rigid or not self._is_projected():
             self._project()
@@ -109,7 +113,18 @@ class StepLevel(Kinematics):
             self.pair = self.end.take(np.arange(self.points.size))
         self._remember()
         self._known, self._g0 = self.end.facing, self.end.g
+        n = self.points.size
+        self._was_open = np.zeros(n, dtype=bool) if closed is None else ~closed
+        self._closes = np.zeros(n) if closes is None else closes
         self._follows = FOLLOWS
+
+    def excuse(self, closed: Bool, closes: Array) -> None:
+        """Points that are not `closed` (n,) at the end of a step, though their penetration is beyond that at which the law
+        would close them, `closes` (n,) in metres, have come into sight at a depth: from here on theirs counts from there, so
+        that to close them gives nothing. What lies deeper than closest points would have to confirm takes no part."""
+        depth = np.where(self.end.facing, np.maximum(self.end.g - closes, 0.0), 0.0)
+        depth[self.end.g > DEEP * self.target.size] = np.inf
+        self.offset = np.where(closed, self.offset, depth)
 
     def take(self, points: IntegrationPoints, contactor: Array, target: Array) -> None:
         """Other points from now on, for a step from the present displacements; nothing is kept from step to step."""
@@ -179,13 +194,16 @@ class StepLevel(Kinematics):
             self._Δa = now.tangents - self._a0
             self._w = self._w - self.lever.carry(self._Δa)
         admitted = self.target.admits(self.points.facet, self.end.point)
-        self.may_close = self.end.facing & pair.facing & admitted
-        self.at = Projection(pair.point, self.may_close, pair.N, pair.dN, pair.y, pair.a, ν, self.end.g)
-        self.s = self._w if self.friction else None
         self._q = dot(self._w, self._w) + (STILL * self.target.size) ** 2
-        miss = (self.end.g - self._g0) + dot(m, self._w)
-        sound = self._known & self.may_close & (np.abs(miss) <= np.sqrt(self._q))
-        self._κ = np.where(sound, -miss / self._q, 0.0)
+        before = self.end.g + dot(m, self._w)  # the penetration at the start, of what is faced at the end
+        miss = before - self._g0
+        same = self._known & (np.abs(miss) <= np.sqrt(self._q))
+        late = self._was_open & ~same & (before > self._closes)
+        self.may_close = self.end.facing & pair.facing & admitted & ~late & np.isfinite(self.offset)
+        g = self.end.g - self.offset
+        self.at = Projection(pair.point, self.may_close, pair.N, pair.dN, pair.y, pair.a, ν, g)
+        self.s = self._w if self.friction else None
+        self._κ = np.where(same & self.may_close, -miss / self._q, 0.0)
         self._c = m - ν + self._κ[:, None] * self._w
 
     @property

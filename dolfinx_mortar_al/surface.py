@@ -29,6 +29,8 @@ __all__ = ["Facets", "GatheredFacets", "ShapeFunctions", "Surface", "check_surfa
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+SQUARES = ((0, 4, 5, 8), (4, 1, 8, 6), (5, 8, 2, 7), (8, 6, 7, 3))  # of a quadrilateral of order 2, by its nodes
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -123,6 +125,19 @@ class ShapeFunctions:
     def sides(self) -> list[list[int]]:
         """Nodes on each of the facet's own sides (vertices of an interval, edges of a polygon)."""
         return self.element.entity_closure_dofs[self.dim - 1]
+
+    @cached_property
+    def pieces(self) -> Index:
+        """(pieces, dim + 1) nodes of the simplices that a facet is divided into, each oriented as the facet."""
+        nodes = {
+            (2, 1): [[0, 1]],
+            (2, 2): [[0, 2], [2, 1]],
+            (3, 1): [[0, 1, 2]],
+            (3, 2): [[0, 5, 4], [5, 1, 3], [4, 3, 2], [3, 4, 5]],
+            (4, 1): [[0, 1, 2], [3, 2, 1]],
+            (4, 2): [[a, b, c] for s in SQUARES for a, b, c in ((s[0], s[1], s[2]), (s[3], s[2], s[1]))],
+        }
+        return np.array(nodes[len(self.corners), self.order], dtype=np.int64)
 
     def tabulate(self, η: Array, derivatives: int = 0) -> tuple[Array, ...]:
         """N (n, nodes), N,α (n, dim, nodes) and N,αβ (n, dim, dim, nodes) at η (n, dim), up to `derivatives`."""
@@ -334,6 +349,16 @@ class GatheredFacets:
     def areas(self) -> Array:
         """(nf,) reference areas (m², or m in two dimensions)."""
         return _areas(self.shape, self.X[self.facets])
+
+    def places_of(self, facets: Facets) -> Index:
+        """(own nf,) which of these facets each of this rank's is, by its nodes."""
+        mine = facets.space.dofmap.index_map.local_to_global(facets.dofs.ravel()).reshape(facets.dofs.shape)
+        every = np.sort(self.blocks[self.facets], axis=1)
+        mine = np.sort(mine, axis=1)
+        rows = np.unique(np.concatenate([every, mine]), axis=0, return_inverse=True)[1].ravel()
+        place = np.empty(rows.max(initial=-1) + 1, dtype=np.int64)
+        place[rows[: len(every)]] = np.arange(len(every))
+        return place[rows[len(every) :]]
 
 
 def _areas(shape: ShapeFunctions, X: Array) -> Array:

@@ -1,16 +1,17 @@
-"""Which contactor points a step has carried through a target: a thin body must not be passed unseen."""
+"""Which points a step has carried through a surface or an obstacle: a thin body must not be passed unseen."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import dot, inverse
 from dolfinx_mortar_al.surface import GatheredFacets, surface_normal
 
-__all__ = ["DEPTH", "passed_through"]
+__all__ = ["DEPTH", "depth_behind", "passed_obstacle", "passed_through"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -18,6 +19,10 @@ Bool = NDArray[np.bool_]
 
 DEPTH = 0.05  # of a facet, behind which an open point that came through its front has not been seen by contact
 CHUNK = 2**20  # couples of points and facets looked at together
+OPPOSITE = -0.7  # cosine of the normals where a point has come in and out, of the two sides of a plate
+AROUND = 0.25  # of a piece, beside which it may hold the closest point of what is behind a hollow
+TOUCHES = 1e-3  # of the depth: so near a path comes to what lies that deep
+MAX_ITERATIONS = 100  # along a path; one that comes nearer that slowly grazes
 
 
 def passed_through(
@@ -30,57 +35,131 @@ def passed_through(
     counts: Callable[[Index, Index], Bool] | None = None,
 ) -> Bool:
     """(n,) points that went from 𝐱₀ to 𝐱₁ (n, gdim) through the front of a target facet and ended farther behind its plane
-    than `depth` (m); `before`, `after` (nodes, gdim) are the positions of the target's nodes. Facets count as flat, between
-    their corners, and motions as straight. `counts` says of points (m,) and facets (m,) which couples are looked at, all by
-    default."""
+    than `depth` (m), or came out again at the other side of a plate. (A point that comes out again elsewhere may have gone
+    round under contact, where surfaces slide over many facets.)
+
+    `before`, `after` (nodes, gdim) are the positions of the target's nodes. Facets count as flat between neighbouring nodes,
+    and motions as straight. `counts` says of points (m,) and facets (m,) which couples are looked at, all by default.
+    """
     passed = np.zeros(len(x0), dtype=bool)
-    if not len(x0):
-        return passed
-    corners = target.facets[:, : len(target.shape.corners)]
-    c0, c1 = before[corners], after[corners]  # (nf, corners, gdim)
-    low, high = np.minimum(c0.min(axis=1), c1.min(axis=1)), np.maximum(c0.max(axis=1), c1.max(axis=1))
-    near_low, near_high = np.minimum(x0, x1).min(axis=0), np.maximum(x0, x1).max(axis=0)
-    facets = np.flatnonzero(((low <= near_high) & (high >= near_low)).all(axis=1))
-    if not len(facets):
-        return passed
-    rows = max(1, CHUNK // len(facets))
-    for start in range(0, len(x0), rows):
-        a, b = x0[start : start + rows], x1[start : start + rows]
-        meets = (np.minimum(a, b)[:, None] <= high[facets]) & (np.maximum(a, b)[:, None] >= low[facets])
-        point, k = np.nonzero(meets.all(axis=2))
-        facet = facets[k]
+    pieces = target.shape.pieces
+    orientation = np.repeat(target.orientation, len(pieces))
+    c0, c1 = (_corners(target, nodes) for nodes in (before, after))
+    for point, piece in _couples([c0, c1], [x0, x1], 0.0):
         if counts is not None:
-            real = counts(start + point, facet)
-            point, facet = point[real], facet[real]
-        crossed = _crossed(c0[facet], c1[facet], a[point], b[point], target.orientation[facet], depth)
-        passed[start + point[crossed]] = True
+            real = counts(point, piece // len(pieces))
+            point, piece = point[real], piece[real]
+        way = _Ways(c0[piece], c1[piece], x0[point], x1[point], orientation[piece], point)
+        passed[way.through(depth)] = True
     return passed
 
 
-def _crossed(c0: Array, c1: Array, x0: Array, x1: Array, orientation: Array, depth: float) -> Bool:
-    """(m,) whether each point crosses its facet from the front, inside the facet; c (m, corners, gdim)."""
-    height = [_height(c, x, orientation) for c, x in ((c0, x0), (c1, x1))]
-    fall = height[0] - height[1]
-    through = (height[0] >= 0) & (height[1] < -depth)
-    t = np.where(through, height[0] / np.where(fall == 0.0, 1.0, fall), 0.0)[:, None]
-    c, x = c0 + t[:, :, None] * (c1 - c0), x0 + t * (x1 - x0)
-    if c.shape[1] == 4:  # a quadrilateral is two triangles
-        inside = _inside(c[:, [0, 1, 2]], x) | _inside(c[:, [3, 1, 2]], x)
-    else:
-        inside = _inside(c, x)
-    result: Bool = through & inside
-    return result
+def depth_behind(target: GatheredFacets, nodes: Array, x: Array, reach: float) -> Array:
+    """(n,) roughly how far 𝐱 (n, gdim) lies behind the flat pieces of a surface with its nodes at `nodes` (nodes, gdim), at
+    most `reach` (m) or little more; −∞ where it is not over any."""
+    pieces = target.shape.pieces
+    orientation, c = np.repeat(target.orientation, len(pieces)), _corners(target, nodes)
+    depth = np.full(len(x), -np.inf)
+    for point, piece in _couples([c], [x], reach):
+        over = _inside(c[piece], x[point], AROUND)
+        point, piece = point[over], piece[over]
+        height = _height(c[piece], x[point], orientation[piece])
+        order = np.lexsort([np.abs(height), point])
+        nearest = order[np.r_[True, np.diff(point[order]) > 0]] if len(order) else order
+        depth[point[nearest]] = -height[nearest]
+    return depth
+
+
+def _corners(target: GatheredFacets, nodes: Array) -> Array:
+    """(pieces, corners, gdim) of the flat pieces of all facets, facet after facet."""
+    return np.asarray(nodes[target.facets[:, target.shape.pieces].reshape(-1, target.shape.dim + 1)])
+
+
+def _couples(corners: Sequence[Array], x: Sequence[Array], slack: float) -> Iterator[tuple[Index, Index]]:
+    """Points and pieces whose boxes, at all their positions 𝐱 (n, gdim) and corners (pieces, corners, gdim), come nearer
+    than `slack` (m), a share of the points at a time and in their order."""
+    low = np.min([c.min(axis=1) for c in corners], axis=0) - slack
+    high = np.max([c.max(axis=1) for c in corners], axis=0) + slack
+    first, last = np.min(x, axis=0), np.max(x, axis=0)
+    every = first.min(axis=0, initial=np.inf), last.max(axis=0, initial=-np.inf)
+    near = np.flatnonzero(((low <= every[1]) & (high >= every[0])).all(axis=1))
+    rows = max(1, CHUNK // max(len(near), 1))
+    for start in range(0, len(first) if len(near) else 0, rows):
+        part = slice(start, start + rows)
+        meets = (first[part, None] <= high[near]) & (last[part, None] >= low[near])
+        point, k = np.nonzero(meets.all(axis=2))
+        yield start + point, near[k]
+
+
+class _Ways:
+    """Ways of points (m, gdim) past pieces of a surface with corners c (m, corners, gdim), both moving straight on.
+
+    Attributes:
+        point: (m,) which point each is of, of those that cross their piece, in order of time; entry: (m,) from the front.
+    """
+
+    def __init__(self, c0: Array, c1: Array, x0: Array, x1: Array, orientation: Array, point: Index) -> None:
+        start, end = _height(c0, x0, orientation), _height(c1, x1, orientation)
+        entry = (start >= 0) & (end < 0)
+        t = np.where(start != end, start / np.where(start != end, start - end, 1.0), 0.0)
+        across = np.flatnonzero(entry | ((start < 0) & (end >= 0)))
+        c, x = (
+            v[across] + t[across, None, None] * d[across] for v, d in ((c0, c1 - c0), (x0[:, None], (x1 - x0)[:, None]))
+        )
+        across = across[_inside(c, x[:, 0])]
+        across = across[np.lexsort([t[across], point[across]])]
+        self.point, self.entry, self._end = point[across], entry[across], end[across]
+        self._normal = _normal((c0 + t[:, None, None] * (c1 - c0))[across], orientation[across])
+
+    def through(self, depth: float) -> Index:
+        """The points that have passed, deeper than `depth` (m)."""
+        m = len(self.point)
+        following = np.minimum.accumulate(np.where(self.entry, m, np.arange(m))[::-1])[::-1]  # the next way out
+        comes_out = np.zeros(m, dtype=bool)
+        comes_out[following < m] = self.point[following[following < m]] == self.point[following < m]
+        stays = self.entry & ~comes_out & (self._end < -depth)
+        into = np.flatnonzero(self.entry & comes_out)
+        plate = dot(self._normal[into], self._normal[following[into]]) < OPPOSITE
+        return np.concatenate([self.point[stays], self.point[into[plate]]])
+
+
+def passed_obstacle(obstacle: Obstacle, before: Pose, x0: Array, x1: Array, depth: float) -> Bool:
+    """(n,) points that went from 𝐱₀ to 𝐱₁ (n, gdim) through a rigid obstacle, `before` in another pose, deeper than `depth`
+    (m), and are out of it again. Their motion relative to it counts as straight; where it is at least as far away as its
+    clearance says it goes on by that (sphere tracing)."""
+    Y = obstacle.pivot + (x0 - obstacle.pivot - before.translation) @ before.rotation
+    start = obstacle.positions(Y)
+    length = np.linalg.norm(x1 - start, axis=1)
+    ends = [-obstacle.project(x).g for x in (start, x1)]
+    passed = np.zeros(len(x0), dtype=bool)
+    may = (ends[0] >= 0) & (ends[1] >= 0) & (ends[0] + ends[1] + 2 * depth < length)
+    at, on = np.zeros(len(x0)), np.flatnonzero(may)
+    for _ in range(MAX_ITERATIONS):
+        if not len(on):
+            break
+        x = start[on] + at[on, None] * (x1 - start)[on]
+        clearance = depth - obstacle.project(x).g
+        met = clearance <= TOUCHES * depth
+        passed[on[met]] = True
+        at[on] += clearance / length[on]
+        on = on[~met & (at[on] < 1.0)]
+    return passed
+
+
+def _normal(c: Array, orientation: Array) -> Array:
+    """(m, gdim) unit normals of simplices with corners c (m, gdim, gdim)."""
+    m = surface_normal(c[:, 1:] - c[:, :1]) * orientation[:, None]
+    return np.asarray(m / np.linalg.norm(m, axis=1, keepdims=True))
 
 
 def _height(c: Array, x: Array, orientation: Array) -> Array:
-    """(m,) distance of 𝐱 in front of its facet's plane (m)."""
-    m = surface_normal(c[:, 1 : c.shape[2]] - c[:, :1]) * orientation[:, None]
-    return dot(m, x - c[:, 0]) / np.linalg.norm(m, axis=1)
+    """(m,) distance of 𝐱 in front of its simplex' plane (m)."""
+    return dot(_normal(c, orientation), x - c[:, 0])
 
 
-def _inside(c: Array, x: Array) -> Bool:
-    """(m,) whether 𝐱 lies over the simplex with corners c (m, gdim, gdim)."""
+def _inside(c: Array, x: Array, around: float = 0.0) -> Bool:
+    """(m,) whether 𝐱 lies over the simplex with corners c (m, gdim, gdim), or `around` it (share of its size)."""
     a = c[:, 1:] - c[:, :1]
     η = (inverse(a @ np.swapaxes(a, 1, 2)) @ (a @ (x - c[:, 0])[:, :, None]))[:, :, 0]
-    inside: Bool = (η >= 0).all(axis=1) & (η.sum(axis=1) <= 1)
+    inside: Bool = (η >= -around).all(axis=1) & (η.sum(axis=1) <= 1 + around)
     return inside

@@ -8,6 +8,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials
+from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.quasistatic import StepFailure
 from meshes.gmsh_session import distribute
 from meshes.round_bodies import Round, RoundBodies
@@ -109,6 +110,28 @@ def test_contact_within_one_facet(friction):
     check(collide(step=2e-3, friction=friction, size=0.04, speed=4.0, to=0.02), 0.15)
 
 
+def test_resumed_with_segments(shared_path):
+    """Saved while in contact and loaded into a new problem, the points of segments that were held included: the energies
+    of the undisturbed run to what Newton leaves."""
+
+    def march(problem, motion, start, ledger=None):
+        steps = dynamics.march(problem, motion, start=start, to=start + 4e-3, ledger=ledger)
+        return [step.ledger for step in steps]
+
+    options = {"step": 1e-3, "size": 0.04, "friction": 0.4, "integration": "segments"}
+    problem, motion, _ = scene(**options)
+    saved = Checkpoint(shared_path, problem, motion)
+    before = march(problem, motion, 0.0)[-1]
+    assert np.linalg.norm(problem.pairs[0].force()) > 0
+    saved.save(4e-3, before)
+    undisturbed = march(problem, motion, 4e-3, before)
+    problem, motion, _ = scene(**options)
+    loaded = Checkpoint(shared_path, problem, motion).load()
+    for one, other in zip(march(problem, motion, loaded.at, loaded.ledger), undisturbed, strict=True):
+        for name in ("kinetic", "strain", "contact"):
+            assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-9 * before.total)
+
+
 def test_two_balls():
     """In space, off-centre with friction: momentum and the vector of angular momentum to 1e-10. Flat facets of 0.6 R overlap
     by up to 9 % where one faces the corner between others."""
@@ -168,6 +191,62 @@ def test_a_thin_plate_is_not_tunnelled(contactor):
         message = str(failure)
     assert rejected > 0 or "pass through the target" in message
     assert momentum < -1e-3 * 20 * DENSITY * 0.04**2 or "pass through the target" in message  # the plate was pushed
+
+
+def test_a_point_that_comes_into_sight_deep_counts_from_there():
+    """A lower block slides sideways until points of its top are under an upper one that reaches 2 cm deeper, past whose
+    corner they have come: they stay open in that step, then resist from that depth on; what is pushed out is not let in
+    again."""
+    bodies = [box(MPI.COMM_SELF, low, high, (2, 2)) for low, high in (((0, -1), (1, 0)), ((1.05, -0.02), (2.05, 0.98)))]
+    surfaces, motions = [], []
+    for (domain, _), height in zip(bodies, (0.0, -0.02), strict=True):
+        edge = mesh.locate_entities_boundary(domain, 1, lambda X, y=height: np.isclose(X[1], y))
+        surfaces.append(Surface(domain, mesh.meshtags(domain, 1, edge, np.full(len(edge), 1, dtype=np.int32)), 1))
+        u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+        motions.append(dynamics.Motion(u, materials.neo_hookean(E, NU), density=DENSITY, step=1e-3))
+    problem = ContactProblem([m.residual for m in motions], [m.u for m in motions], contacts=[Contact(*surfaces)])
+    pair = problem.pairs[0]
+    level = pair.use_steps()
+
+    def step(right, up):
+        pair.commit()
+        pair.begin_step()
+        motions[0].u.interpolate(lambda X: np.outer([right, up], np.ones(X.shape[1])))
+        pair.evaluate()
+        pair.active.closed = level.may_close & (pair.state.λN_hat > 0)
+        pair.apply_law()
+        return level.end.facing & (pair.points()[:, 0] > 0.86)
+
+    seen = step(0.2, 0.0)
+    assert seen.any()
+    assert level.end.g[seen] == pytest.approx(0.02)
+    assert not level.may_close[seen].any()
+    for up, counted in ((0.001, 0.001), (-0.015, -0.015), (-0.005, 0.01)):
+        seen = step(0.2, up) & seen
+        assert level.at.g[seen] == pytest.approx(counted, abs=1e-12)
+
+
+def test_a_bystander_does_not_change_the_steps():
+    """With a tolerance, a light block that hits a heavy one is followed by the same Δt whether or not a third body with most
+    of the nodes is at rest elsewhere; they are cut at the impact."""
+    chosen = []
+    for bystander in (False, True):
+        bodies = [
+            (box(MPI.COMM_WORLD, (-0.01, 0.011), (0.01, 0.031), (2, 2)), -2.0, 1000.0),
+            (box(MPI.COMM_WORLD, (-0.05, -0.05), (0.05, 0.01), (6, 4)), 0.0, 1e5),
+        ]
+        if bystander:
+            bodies.append((box(MPI.COMM_WORLD, (1.0, 0.0), (2.0, 1.0), (22, 22)), 0.0, 1000.0))
+        motions = []
+        for (domain, _), speed, density in bodies:
+            u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+            motions.append(dynamics.Motion(u, materials.neo_hookean(E, NU), density=density, step=1e-3))
+            motions[-1].velocity.interpolate(lambda x, v=speed: np.outer([0, v], np.ones(x.shape[1])))
+        contact = Contact(Surface(*bodies[0][0], 1), Surface(*bodies[1][0], 1))
+        problem = ContactProblem([m.residual for m in motions], [m.u for m in motions], contacts=[contact])
+        chosen.append([step.step for step in dynamics.march(problem, motions, to=3e-3, tolerance=2e-5)])
+    assert min(chosen[0]) < 5e-4
+    assert chosen[1] == pytest.approx(chosen[0], rel=1e-6)
 
 
 def heights(motion):

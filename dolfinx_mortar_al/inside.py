@@ -1,0 +1,69 @@
+"""Whether points lie in the body behind a surface, which may be thin and is only a part of the body's boundary."""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import mesh
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.rays import hits
+from dolfinx_mortar_al.search import ray_candidates
+from dolfinx_mortar_al.surface import Surface
+from dolfinx_mortar_al.targets import DeformableTarget
+
+__all__ = ["Inside"]
+
+Array = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+AT_SURFACE = 1e-6  # of a facet: what is crossed nearer than that to a line's ends are the surfaces that it joins
+
+
+class Inside:
+    """The body behind a surface.
+
+    Args:
+        surface: of it.
+        bodies: of the problem.
+    """
+
+    def __init__(self, surface: Surface, bodies: Bodies) -> None:
+        self._surface, self._bodies = surface, bodies
+        self._boundary: DeformableTarget | None = None  # is needed seldom
+
+    def __call__(self, x: Array, y: Array) -> Bool:
+        """(n,) whether 𝐱 (n, gdim), behind the surface's points 𝐲 (n, gdim) closest to them, lie in the body: whether the
+        straight line from one to the other does not cross the body's present boundary. Never in a membrane (collective)."""
+        if self._surface.is_membrane:
+            return np.zeros(len(x), dtype=bool)
+        if self._boundary is None:
+            self._boundary = DeformableTarget(self._outer(), self._bodies, uses_rays=False)
+        self._boundary.refresh()
+        length = np.linalg.norm(y - x, axis=1)
+        along = (y - x) / np.maximum(length, 1e-300)[:, None]
+        surface = self._boundary.surface
+        nodes = self._boundary.nodes[surface.facets]
+        row, column = np.nonzero((table := ray_candidates(x, along, nodes, 0.0)[0]) >= 0)
+        row, _, _, d = hits(surface.shape, nodes, x, along, row, table[row, column])
+        slack = AT_SURFACE * surface.size_of_facets
+        result = length > slack
+        result[row[(d > slack) & (d < length[row] - slack)]] = False
+        return result
+
+    def _outer(self) -> Surface:
+        """The whole boundary of the connected pieces that the surface belongs to (collective)."""
+        domain = self._surface.mesh
+        topology, d = domain.topology, domain.topology.dim
+        body = self._bodies.bodies[self._bodies.index(domain)]
+        topology.create_connectivity(d - 1, d)
+        cell_of = topology.connectivity(d - 1, d)
+
+        def pieces(facets: NDArray[np.int32]) -> NDArray[np.int64]:
+            cells = cell_of.array[cell_of.offsets[facets]]
+            return np.asarray(body.piece[body.space.dofmap.list[cells][:, 0]])
+
+        mine = np.unique(pieces(self._surface.owned_facets()))
+        outer = np.sort(mesh.exterior_facet_indices(topology))
+        outer = outer[np.isin(pieces(outer), np.concatenate(domain.comm.allgather(mine)))]
+        return Surface(domain, mesh.meshtags(domain, d - 1, outer, np.ones(len(outer), dtype=np.int32)), 1)

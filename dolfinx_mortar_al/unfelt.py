@@ -1,0 +1,289 @@
+"""What contact has not felt in a converged state of statics (``docs/robustness.md``).
+
+Contact is felt at the contactor's integration points, by what lies in front of them there and then. A step may carry points
+through a thin target without any state in between; and corners of either surface may lie in the other body between the
+points. So the nodes of both surfaces, and open points, are looked at once more:
+
+- what came through the front of the other surface where nothing is in contact, and is not in the body, has been carried
+  through it;
+- what lies in the other body where nothing is in contact overlaps it unfelt;
+- depth is a function of slope one at most: a node that lies deeper than the next integration point is away, and than meshes
+  may err, has taken that along, which contact should have felt and undone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.inside import Inside
+from dolfinx_mortar_al.integration import IntegrationPoints
+from dolfinx_mortar_al.monitors import Finding
+from dolfinx_mortar_al.obstacles import Pose
+from dolfinx_mortar_al.projection import Projection
+from dolfinx_mortar_al.self_target import SelfTarget
+from dolfinx_mortar_al.surface import Facets, Surface
+from dolfinx_mortar_al.swept import DEPTH, depth_behind, passed_obstacle, passed_through
+from dolfinx_mortar_al.targets import ContactorPoints, DeformableTarget, Place, RigidTarget, Target
+
+__all__ = ["Converged", "Unfelt"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Bool = NDArray[np.bool_]
+
+PASSED = "the step has carried one surface through the other; take smaller steps"
+MISSED = (
+    "the surfaces overlap by more than integration points are apart; take smaller steps, refine the contactor or raise "
+    "quadrature_degree"
+)
+BETWEEN = (
+    "the surfaces overlap between the integration points, which do not feel it; refine the contactor or raise "
+    "quadrature_degree"
+)
+SHARE = 0.02  # of the longer facet: what overlaps by less is an error of the mesh
+DEEPEST = 0.25  # of the longer facet: no error of the mesh
+
+
+@dataclass(frozen=True)
+class Converged:
+    """A converged state, as far as the next one is compared with it.
+
+    Attributes:
+        nodes: (nf, nodes, gdim) of the contactor's facets of this rank (m).
+        place: of the target.
+        closed: (nf,) which of the contactor's facets of this rank are in contact; faced: (target's nf,) which of the target's
+            they are in contact with.
+    """
+
+    nodes: Array
+    place: Place
+    closed: Bool
+    faced: Bool
+
+
+class _Side:
+    """A surface, and what is known of its facets."""
+
+    def __init__(self, surface: Surface, target: DeformableTarget, bodies: Bodies) -> None:
+        self.target, self.inside = target, Inside(surface, bodies)
+        #: (nodes, gdim) where they were in the last converged state (m)
+        self.before = target.nodes
+        #: (nf,) which are in contact, and which were then
+        self.closed = self.was_closed = np.zeros(len(target.facets), dtype=bool)
+
+    def of_nodes(self, values: Array | Bool) -> Array:
+        """(nodes,) the largest of the values (nf,) of the facets that a node belongs to."""
+        result = np.zeros(len(self.target.nodes))
+        for nodes in self.target.facets.T:
+            np.maximum.at(result, nodes, values)
+        return result
+
+    @property
+    def silent(self) -> Bool:
+        """(nf,) where nothing is or was in contact."""
+        return ~(self.closed | self.was_closed)
+
+    def depth_behind(self, x: Array) -> Array:
+        """(n,) how far 𝐱 (n, gdim) lies behind the surface (m), roughly and at most about a facet."""
+        return depth_behind(self.target.surface, self.target.nodes, x, self.target.size)
+
+    def passed(self, x0: Array, x: Array) -> Bool:
+        """(n,) which points have come through the surface's front, 𝐱₀ and 𝐱 (n, gdim)."""
+        depth = DEPTH * self.target.size
+        return passed_through(self.target.surface, self.before, self.target.nodes, x0, x, depth)
+
+
+@dataclass
+class _Points:
+    """Nodes of a surface, or integration points.
+
+    Attributes:
+        x0, x, X: (n, gdim) where they were in the last converged state, are now, and are in the reference one (m).
+        loose: (n,) whether nothing is in contact on their facets; silent: (n,) whether nothing is or was.
+        extent: (n,) of their facet; reach: (n,) how far away the next integration point may be (m).
+    """
+
+    x0: Array
+    x: Array
+    X: Array
+    loose: Bool
+    silent: Bool
+    extent: Array
+    reach: Array
+
+    def take(self, which: Index | Bool) -> _Points:
+        return _Points(*(values[which] for values in vars(self).values()))
+
+
+@dataclass
+class _Found:
+    """Of points at X (n, gdim): passed (n,) which have been carried through; depth (n,) how deep the others are unfelt, as a
+    share of the longer facet; missed (n,) which are deeper than contact can leave them."""
+
+    X: Array
+    passed: Bool
+    depth: Array
+    missed: Bool
+
+
+class Unfelt:
+    """Looks at a pair's converged states.
+
+    Args:
+        contactor: the surface; facets: it, as this rank owns it.
+        target: the pair's; surface: it, if it is one.
+        bodies: of the problem.
+        name: of the pair.
+    """
+
+    def __init__(
+        self,
+        contactor: Surface,
+        facets: Facets,
+        target: Target,
+        surface: Surface | None,
+        bodies: Bodies,
+        name: str,
+    ) -> None:
+        self._comm, self._name, self._facets, self._target = bodies.comm, name, facets, target
+        if isinstance(target, SelfTarget):
+            return
+        self._contactor = _Side(contactor, DeformableTarget(contactor, bodies, uses_rays=False), bodies)
+        self._own = self._contactor.target.surface.places_of(facets)
+        if isinstance(target, DeformableTarget):
+            assert surface is not None
+            self._other = _Side(surface, target, bodies)
+
+    def look(
+        self, points: IntegrationPoints, now: ContactorPoints, at: Projection, closed: Bool, before: Converged
+    ) -> list[Finding]:
+        """What is found in the present state (collective).
+
+        Args:
+            points: of integration, which are at `now` and face `at`; closed: (n,) which are in contact.
+            before: the last converged state.
+        """
+        x0, X = points.interpolate(before.nodes), points.interpolate(self._facets.X)
+        if isinstance(self._target, SelfTarget):
+            found = [self._through_itself(self._target, now, x0, X, np.flatnonzero(~closed), before.place)]
+            return self._findings(found)
+        spacing = self._take_contactor(points, closed, before)
+        facet = self._own[points.facet]
+        silent, extents = self._contactor.silent[facet], self._contactor.target.extents[facet]
+        open_ = _Points(x0, now.x, X, silent, silent, extents, np.zeros(len(X))).take(silent)
+        nodes = self._nodes(self._contactor, self._contactor.of_nodes(spacing))
+        if isinstance(self._target, RigidTarget):
+            assert isinstance(before.place, Pose)
+            return self._findings([self._at_obstacle(self._target, part, before.place) for part in (open_, nodes)])
+        self._take_target(at, closed, before)
+        others = self._nodes(self._other, np.zeros(len(self._other.target.nodes)))
+        return self._findings(
+            [
+                self._at_surface(open_, self._other),
+                self._at_surface(nodes, self._other, look_deep=True),
+                self._at_surface(others, self._contactor, look_deep=True, spacing=spacing),
+            ]
+        )
+
+    # ---------------------------------------------------------------- what is known of both sides
+
+    def _take_contactor(self, points: IntegrationPoints, closed: Bool, before: Converged) -> Array:
+        """Take up its present state; (nf,) how far its integration points are apart (m)."""
+        side, own = self._contactor, self._own
+        side.target.refresh()
+        nodes = np.full_like(side.target.nodes, -np.inf)
+        nodes[side.target.facets[own]] = before.nodes
+        state = np.zeros((3, len(side.target.facets)))
+        state[0, own[points.facet]] = points.spacing
+        state[1, own[points.facet[closed]]] = 1.0
+        state[2, own] = before.closed
+        for array in (nodes, state):
+            self._comm.Allreduce(MPI.IN_PLACE, array, MPI.MAX)
+        side.before, side.closed, side.was_closed = nodes, state[1] > 0, state[2] > 0
+        return state[0]
+
+    def _take_target(self, at: Projection, closed: Bool, before: Converged) -> None:
+        assert isinstance(before.place, np.ndarray)
+        state = np.zeros((2, len(self._target.facets)))
+        state[0, at.point.facet[closed]] = 1.0
+        state[1] = before.faced
+        self._comm.Allreduce(MPI.IN_PLACE, state, MPI.MAX)
+        self._other.before, self._other.closed, self._other.was_closed = before.place, state[0] > 0, state[1] > 0
+
+    def _nodes(self, side: _Side, reach: Array) -> _Points:
+        """This rank's share of a surface's nodes; `reach` (nodes,) in metres."""
+        surface, extent = side.target.surface, side.of_nodes(side.target.extents)
+        loose, silent = (side.of_nodes(~values) == 0.0 for values in (~side.closed, side.silent))
+        every = _Points(side.before, side.target.nodes, surface.X, loose, silent, extent, reach)
+        return every.take(np.arange(self._comm.rank, len(silent), self._comm.size))
+
+    # ---------------------------------------------------------------- what is found
+
+    def _at_surface(
+        self, points: _Points, other: _Side, look_deep: bool = False, spacing: Array | None = None
+    ) -> _Found:
+        """Points beside the other surface; `look_deep` if they are to be apart from it even where they have not passed,
+        `spacing` (nf,) of the integration points on it, if they are there (m)."""
+        passed = points.silent & other.passed(points.x0, points.x)
+        suspect = passed.copy()
+        if look_deep:
+            least = np.where(points.silent, 0.0, DEEPEST / 2)
+            suspect |= other.depth_behind(points.x) > least * np.maximum(points.extent, other.target.extents.min())
+        points, passed = points.take(suspect), passed[suspect]
+        if not self._comm.allreduce(bool(suspect.any()), MPI.LOR):
+            return _Found(points.X, passed, np.zeros(0), passed)
+        at = other.target.closest(points.x)
+        facet = at.point.facet
+        longer = np.maximum(points.extent, other.target.extents[facet])
+        reach = points.reach if spacing is None else spacing[facet]
+        deep = at.facing & (at.g > np.where(passed, 0.0, SHARE * longer))
+        within = np.zeros(len(deep), dtype=bool)
+        within[deep] = other.inside(points.x[deep], at.y[deep])
+        silent = points.silent & other.silent[facet]
+        return _found(points, passed & silent & ~within, np.where(within, at.g, 0.0), silent, reach, longer)
+
+    def _at_obstacle(self, target: RigidTarget, points: _Points, before: Pose) -> _Found:
+        """Points beside a rigid obstacle, which feels every integration point that is in it now."""
+        at = target.obstacle.project(points.x)
+        passed = passed_obstacle(target.obstacle, before, points.x0, points.x, DEPTH * target.size)
+        depth = np.where(at.facing & (points.reach > 0.0), np.maximum(at.g, 0.0), 0.0)
+        return _found(points, passed & points.silent, depth, points.silent, points.reach, points.extent)
+
+    def _through_itself(
+        self, target: SelfTarget, now: ContactorPoints, x0: Array, X: Array, free: Index, before: Place
+    ) -> _Found:
+        """Open points that a step has carried through their own surface."""
+        assert isinstance(before, np.ndarray)
+        counts = target.crossable(now, free)
+        passed = passed_through(
+            target.surface, before, target.nodes, x0[free], now.x[free], DEPTH * target.size, counts
+        )
+        return _Found(X[free], passed, np.zeros(len(free)), np.zeros(len(free), dtype=bool))
+
+    def _findings(self, found: list[_Found]) -> list[Finding]:
+        """In words, on all ranks (collective)."""
+        X, passed, depth, missed = (np.concatenate([getattr(part, name) for part in found]) for name in vars(found[0]))
+        through = [tuple(x) for part in self._comm.allgather(X[passed].tolist()) for x in part]
+        if through:
+            name = f"{self._name}: points passed through"
+            return [Finding(name, float(len(through)), through[0], PASSED, True)]
+        k = np.lexsort([depth, missed])[-1:]  # the deepest of those that were missed, or else the deepest
+        mine = [(bool(missed[i]), float(depth[i]), tuple(X[i].tolist())) for i in k]
+        worst = max([one for part in self._comm.allgather(mine) for one in part], default=(False, 0.0, ()))
+        if not worst[0] and worst[1] <= SHARE:
+            return []
+        name, meaning = f"{self._name}: overlap that is not felt (facets)", MISSED if worst[0] else BETWEEN
+        return [Finding(name, worst[1], worst[2], meaning, worst[0])]
+
+
+def _found(points: _Points, passed: Bool, depth: Array, silent: Bool, reach: Array, longer: Array) -> _Found:
+    """Points that have passed or lie `depth` (n,) in the other body (m): those where nothing is or was in contact, and others
+    that are too deep for an error of meshes whose longer facets are `longer` (n,). Missed are such that are `loose` besides,
+    and deeper than integration points are away, `reach` (n,)."""
+    far = depth > DEEPEST * longer
+    return _Found(points.X, passed, np.where(silent | far, depth, 0.0) / longer, points.loose & far & (depth > reach))

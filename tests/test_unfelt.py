@@ -1,0 +1,219 @@
+"""What contact does not feel: thin bodies that a step would pass through, overlaps between the integration points."""
+
+import contextlib
+import math
+import sys
+from pathlib import Path
+
+import basix
+import numpy as np
+import pytest
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, quasistatic
+from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.inside import Inside
+from dolfinx_mortar_al.monitors import ModelWarning
+from dolfinx_mortar_al.obstacles import Pose, RigidCylinder, RigidSphere
+from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions
+from dolfinx_mortar_al.swept import depth_behind, passed_obstacle, passed_through
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from robustness import march
+from robustness_scenes import draw
+
+E, NU = 1e5, 0.3
+BOTTOM, TOP = 1, 2
+THICK, WIDTH, HIGH, GAP = 0.05, 0.2, 0.1, 0.02  # m: of the bar, across and along the block, between both
+DOWN = 0.3  # m: the block's way, after which it would be wholly below the bar
+
+
+class Body:
+    """A rectangle of quadrilaterals with its bottom and top as surfaces; `place` moves its nodes (n, 3)."""
+
+    def __init__(self, low, high, cells, order=1, place=lambda x: x):
+        self.mesh = mesh.create_rectangle(MPI.COMM_WORLD, [low, high], cells, mesh.CellType.quadrilateral)
+        faces = [
+            mesh.locate_entities_boundary(self.mesh, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (low[1], high[1])
+        ]
+        ends = mesh.locate_entities_boundary(
+            self.mesh, 1, lambda x: np.isclose(x[0], low[0]) | np.isclose(x[0], high[0])
+        )
+        facets = np.concatenate(faces)
+        tags = np.repeat(np.array([BOTTOM, TOP], dtype=np.int32), [len(f) for f in faces])
+        order_ = np.argsort(facets)
+        self.tags = mesh.meshtags(self.mesh, 1, facets[order_], tags[order_])
+        self.mesh.geometry.x[:] = place(self.mesh.geometry.x)
+        V = fem.functionspace(self.mesh, ("Lagrange", order, (2,)))
+        self.u = fem.Function(V)
+        self.ends, self.top = (fem.locate_dofs_topological(V, 1, f) for f in (ends, faces[1]))
+        self.F = materials.neo_hookean(E, NU).virtual_work(self.u)
+
+    def held(self, dofs, value):
+        return fem.dirichletbc(value, dofs, self.u.function_space)
+
+    def surface(self, tag):
+        return Surface(self.mesh, self.tags, tag)
+
+
+def bar(order):
+    """1 m long, its top at y = 0, clamped at both ends: (body, conditions)."""
+    body = Body([-0.5, -THICK], [0.5, 0.0], [20, 2], order)
+    return body, [body.held(body.ends, np.zeros(2))]
+
+
+def block_over_bar(order=1, swap=False, tip=0.0, cells=(5, 3), gap=GAP, upright=False, **options):
+    """The problem, and the motion of the block's top (m); `tip`: how far the middle of its bottom hangs down; `upright`:
+    turned by 90°, its bottom to the left."""
+    under, bcs = bar(order)
+
+    def place(x):
+        if upright:
+            return np.stack([x[:, 1], gap + WIDTH / 2 - x[:, 0], x[:, 2]], axis=1)
+        hanging = np.maximum(0, 1 - 2 * np.abs(x[:, 0]) / WIDTH) * (gap + HIGH - x[:, 1]) / HIGH
+        return x - tip * hanging[:, None] * [0, 1, 0]
+
+    block = Body([-WIDTH / 2, gap], [WIDTH / 2, gap + HIGH], cells, order, place)
+    motion = fem.Constant(block.mesh, np.zeros(2))
+    sides = [block.surface(BOTTOM), under.surface(TOP)]
+    contact = Contact(*(reversed(sides) if swap else sides), **options)
+    bcs.append(block.held(block.top, motion))
+    return ContactProblem([under.F, block.F], [under.u, block.u], bcs=bcs, contacts=[contact]), motion
+
+
+def drive(problem, load, increments=1, **options):
+    return list(quasistatic.march(problem, load, to=1.0, increments=increments, start=0.0, **options))
+
+
+def test_a_beam_driven_into_another_in_two_increments():
+    """The tip of one end lies 0.8 facets deep in the other beam, where its points face nothing: such an increment fails.
+    (With smaller ones the march ends at a limit point.)"""
+    scene = draw(9401, 28)
+    run = march(scene, smallest=1.0) if MPI.COMM_WORLD.rank == 0 else None
+    message = MPI.COMM_WORLD.bcast(run and run["error"])
+    assert "StepFailure" in message and "overlap by more than integration points are apart" in message
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_surface_carried_through_sideways(order):
+    """A block on its side, whose contact surface faces along the bar, goes down through it: no ray meets the bar, and no
+    state that a step ends in is one of contact. One increment carries the surface through, small ones into the bar."""
+    for increments, said in ((1, "carried one surface through"), (40, "overlap by more than")):
+        problem, motion = block_over_bar(order, upright=True)
+        with pytest.raises(quasistatic.StepFailure, match=said):
+            drive(
+                problem,
+                lambda t, m=motion: m.value.__setitem__(slice(None), [0.0, -DOWN * t]),
+                increments,
+                smallest=1.0,
+            )
+
+
+def test_no_increment_jumps_over_a_bar_with_a_rigid_roller():
+    """The same with an obstacle, whose whole way is looked at."""
+    forces, radius = [], 0.08
+    for increments in (1, 30):
+        body, bcs = bar(1)
+        roller = RigidSphere([0.0, GAP + radius], radius)
+        problem = ContactProblem(body.F, body.u, bcs=bcs, contacts=[Contact(body.surface(TOP), roller)])
+        steps = drive(problem, lambda t, r=roller: r.move([0.0, -DOWN * t]), increments)
+        forces.append(problem.pairs[0].force())
+        assert increments > 1 or sum(step.rejected for step in steps) > 0
+    assert forces[0][1] < 0
+    np.testing.assert_allclose(forces[0], forces[1], atol=1e-6 * np.linalg.norm(forces[1]))
+
+
+def test_an_overlap_between_the_points_is_said():
+    """A tip hangs down by 0.03 m in the middle of the block's two facets of 0.1 m. It goes 0.003 m into the bar, of which the
+    next Gauss point, 0.0113 m beside it and 0.0034 m higher, feels nothing."""
+    problem, motion = block_over_bar(tip=0.03, cells=(2, 2), gap=0.05, quadrature_degree=4)
+    warns = pytest.warns(ModelWarning, match="do not feel it")
+    with warns if MPI.COMM_WORLD.rank == 0 else contextlib.nullcontext():
+        steps = drive(problem, lambda t: motion.value.__setitem__(slice(None), [0.0, -0.023 * t]))
+    found = [f for f in steps[-1].findings if "not felt" in f.name]
+    assert problem.pairs[0].closed_fraction() == 0
+    assert len(found) == 1 and not found[0].fatal
+    assert abs(found[0].value - 0.003 / np.hypot(0.1, 0.03)) < 1e-6
+    np.testing.assert_allclose(found[0].X, [0.0, 0.02], atol=1e-12)
+
+
+# ---------------------------------------------------------------- swept paths, and what is behind a surface
+
+
+def line(X, order=1, orientation=1.0):
+    """A line through the nodes X as a surface of intervals of that order; its front is below if it goes to the right."""
+    n = (len(X) - 1) // order
+    facets = order * np.arange(n)[:, None] + np.array([[0, 1]] if order == 1 else [[0, 2, 1]])
+    shape = ShapeFunctions(basix.CellType.interval, order)
+    return GatheredFacets(shape, facets, np.arange(len(X)), np.asarray(X, dtype=float), np.full(n, orientation))
+
+
+def passes(surface, x0, x1, depth=0.05):
+    x0, x1 = np.atleast_2d(np.array(x0, dtype=float)), np.atleast_2d(np.array(x1, dtype=float))
+    return passed_through(surface, surface.X, surface.X, x0, x1, depth).tolist()
+
+
+def test_paths_through_a_line():
+    """From above through a line of 4 m whose front is above; not from below, beside it, or less than the depth."""
+    flat = line(np.stack([np.arange(5.0), np.zeros(5)], axis=1), orientation=-1.0)
+    assert passes(flat, [[1.5, 1], [1.5, -1], [5, 1], [2.5, 1]], [[2.2, -1], [2.2, 1], [4.5, -1], [2.5, -0.04]]) == [
+        True, False, False, False,
+    ]  # fmt: skip
+
+
+def test_paths_over_a_bump_and_through_a_plate():
+    """What comes out again elsewhere may have gone round; through the two sides of a plate it has not."""
+    bump = line([[0, 0], [1, 0.5], [2, 0]], orientation=-1.0)
+    plate = line([[0, 0.1], [2, 0.1], [2, 0], [0, 0]], orientation=-1.0)
+    assert passes(bump, [-1, 0.2], [3, 0.2]) == [False]
+    assert passes(plate, [1, 1], [1, -1]) == [True]
+
+
+def test_a_hollow_of_order_two_is_not_its_chord():
+    """A parabola of 1 m, 0.1 m deep: what lies between it and its chord is in front of it. (Its two halves count as flat.)"""
+    hollow = line([[0, 0], [0.5, -0.1], [1, 0]], order=2, orientation=-1.0)
+    assert passes(hollow, [[0.4, 1], [0.4, 1]], [[0.4, -0.07], [0.4, -0.2]]) == [False, True]
+    found = depth_behind(hollow, hollow.X, np.array([[0.4, -0.07], [0.4, -0.15], [3.0, -1.0]]), 0.5)
+    assert found[0] < 0 < found[1] and found[2] == -np.inf
+
+
+@pytest.mark.parametrize("cell", [basix.CellType.interval, basix.CellType.triangle, basix.CellType.quadrilateral])
+@pytest.mark.parametrize("order", [1, 2])
+def test_pieces_fill_the_reference_facet(cell, order):
+    shape = ShapeFunctions(cell, order)
+    corners = shape.nodes[shape.pieces]
+    a = corners[:, 1:] - corners[:, :1]
+    volume = np.linalg.det(a) / math.factorial(shape.dim)
+    assert (volume > 0).all()
+    assert abs(volume.sum() - basix.make_quadrature(cell, 1)[1].sum()) < 1e-14
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_paths_through_a_moving_obstacle(dim):
+    """Against the distance of straight lines from centre or axis, in the obstacle's own axes."""
+    rng = np.random.default_rng(3)
+    radius, depth = 0.5, 0.02
+    obstacle = RigidSphere([0.1, 0.2], radius) if dim == 2 else RigidCylinder([0.1, 0.2, 0], [0, 0, 1], radius)
+    before = Pose(rng.normal(size=dim), np.eye(dim))
+    obstacle.move(rng.normal(size=dim))
+    a, b = (rng.uniform(-1.5, 1.5, (400, 2)) for _ in range(2))
+    t = np.clip(-np.einsum("ni,ni->n", a, b - a) / np.einsum("ni,ni->n", b - a, b - a), 0, 1)[:, None]
+    nearest = np.linalg.norm(a + t * (b - a), axis=1)
+    outside = np.minimum(np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1)) >= radius
+    clear = np.abs(nearest - (radius - depth)) > 1e-3
+    along = rng.uniform(-1, 1, (400, dim - 2))
+    centre = np.array([0.1, 0.2, 0][:dim])
+    x0, x1 = (np.hstack([x, along]) + centre + pose.translation for x, pose in ((a, before), (b, obstacle.pose)))
+    found = passed_obstacle(obstacle, before, x0, x1, depth)
+    expected = outside & (nearest < radius - depth)
+    assert np.array_equal(found[clear], expected[clear]) and expected.sum() > 20
+
+
+def test_inside_a_thin_body():
+    """Points behind the top of the bar: in it, below it, and in the block's own body, which is another one."""
+    body, bcs = bar(2)
+    bodies = Bodies([body.F], [body.u], bcs, None)
+    x = np.array([[0.1, -0.02], [0.1, -THICK - 0.01], [0.33, -0.049], [0.0, -0.3]])
+    y = x * [1, 0]
+    assert Inside(body.surface(TOP), bodies)(x, y).tolist() == [True, False, True, False]
