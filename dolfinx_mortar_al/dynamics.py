@@ -122,6 +122,9 @@ def march(
     said = (start, to, tolerance, [float(motion.time_step.value) for motion in all_motions])
     agreed(problem.comm, "start, to, tolerance, Δt", said)
     problem.members |= {f"motion{k}": motion for k, motion in enumerate(all_motions)}
+    steps = sorted({float(motion.time_step.value) for motion in all_motions})
+    if len(steps) > 1:
+        raise ValueError(f"step = {steps}: all motions of a problem need the same Δt")
     θ = {motion.theta for motion in all_motions}
     if len(θ) > 1:
         raise ValueError(f"theta = {sorted(θ)}: all motions of a problem need the same θ")
