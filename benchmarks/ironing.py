@@ -41,7 +41,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 ROOT = Path(__file__).resolve().parents[1]
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, output, quasistatic
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, quasistatic
 from meshes.ironing import PUNCH, PUNCH_BOTTOM, PUNCH_TOP, SLAB, SLAB_BOTTOM, SLAB_TOP, Ironing
 
 SOFT, NU = 100.0, 0.32  # Young's modulus of the softer body (Pa), Poisson's ratio of both
@@ -199,7 +199,7 @@ def pressures(scene: Scene, options: dict[str, Any], alarm: Alarm) -> dict[str, 
     said, problem = measure(scene, options | {"integration": "segments"}, alarm)
     if said["failed"]:
         return said | {"failed": f"reference: {said['failed']}"}
-    reference = output.contact_profile(problem, problem.pairs[0])
+    reference = problem.pairs[0].fields_on_root()
     assert reference is not None
     closed = reference.X[reference.status > 0, 0]
     middle, half = (closed.max() + closed.min()) / 2, (closed.max() - closed.min()) / 2
@@ -211,7 +211,7 @@ def pressures(scene: Scene, options: dict[str, Any], alarm: Alarm) -> dict[str, 
             said[count] += result[count]
         if result["failed"]:
             return said | {"failed": f"{kind}: {result['failed']}"}
-        found = output.contact_profile(problem, problem.pairs[0])
+        found = problem.pairs[0].fields_on_root()
         assert found is not None
         inside = np.abs(found.X[:, 0] - middle) < INNER * half
         p = np.interp(found.X[inside, 0], reference.X[:, 0], reference.pressure)

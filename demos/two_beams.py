@@ -94,7 +94,7 @@ def simulate(args: argparse.Namespace, friction: float, directory: Path) -> tupl
             active_fraction=pair.closed_fraction(), stick_fraction=pair.stick_fraction(),
         )  # fmt: skip
     run.finish()
-    return run.history, output.deformed_cells(u) if args.dim == 2 else None, output.contact_profile(problem, pair)
+    return run.history, output.deformed_cells(u) if args.dim == 2 else None, pair.fields_on_root()
 
 
 def draw(results: dict[float, tuple], directory: Path) -> None:

@@ -96,7 +96,7 @@ def simulate(args: argparse.Namespace, case: tuple[float, float, float], directo
     if MPI.COMM_WORLD.rank == 0:
         print(f"μ = {friction:g}, shift {shift:g} m: {end}")
     run.finish(end=end)
-    return run.history, output.deformed_cells(u) if args.dim == 2 else None, output.contact_profile(problem, pair)
+    return run.history, output.deformed_cells(u) if args.dim == 2 else None, pair.fields_on_root()
 
 
 def draw(results: dict[tuple[float, float, float], tuple], directory: Path) -> None:

@@ -7,6 +7,7 @@ from dolfinx_mortar_al.meshfile import read_msh
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.ranks import end_together
+from dolfinx_mortar_al.reactions import reaction
 from dolfinx_mortar_al.surface import Surface
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "obstacles",
     "output",
     "quasistatic",
+    "reaction",
     "read_msh",
 ]
 

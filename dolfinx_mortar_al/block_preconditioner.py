@@ -49,10 +49,12 @@ class BlockPreconditioner:
     Attributes:
         surface_size: unknowns of S.
         idle: set to leave everything as it is, while another solver is at work.
+        stale: set to have multigrid's coarse spaces chosen anew; while the pattern is the same they serve on otherwise, and
+            the Galerkin products alone are brought up to date.
     """
 
     def __init__(self, problem: ContactProblem, prefix: str) -> None:
-        self.problem, self.idle = problem, False
+        self.problem, self.idle, self.stale = problem, False, False
         self._bulk, self._surface = (self._part(prefix + part) for part in ("bulk_", "surface_"))
         order_two = any(body.space.element.basix_element.degree > 1 for body in problem.bodies.bodies)
         self._first = FirstOrder(problem.bodies) if order_two else None
@@ -74,8 +76,8 @@ class BlockPreconditioner:
         p = self.problem
         if self.idle:
             return
-        new = self._of is None or self._of.handle != p.matrix.handle
-        self._of = p.matrix
+        new = self.stale or self._of is None or self._of.handle != p.matrix.handle
+        self._of, self.stale = p.matrix, False
         A = p.blocks[0][0]
         if new:
             self._reset()
@@ -85,7 +87,7 @@ class BlockPreconditioner:
             self._set_up_coarse(A, new)
         self._bulk.setOperators(A)
         self._bulk.setUp()
-        self.renew_surface()
+        self.renew_surface(A)
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """x ← the approximate inverse times b."""
@@ -105,12 +107,13 @@ class BlockPreconditioner:
 
     # ---------------------------------------------------------------- parts
 
-    def renew_surface(self) -> None:
-        """Bring S up to date with the problem's matrix, and leave the bodies' multigrid as it is."""
+    def renew_surface(self, A: PETSc.Mat) -> None:
+        """Bring S up to date with the problem's matrix and this block of displacements, of which the diagonal is asked for
+        alone, and leave the bodies' multigrid as it is."""
         blocks, n = self.problem.blocks, len(self.problem.pairs)
         if n == 0:
             return
-        scale = blocks[0][0].getDiagonal()
+        scale = A.getDiagonal()
         scale.reciprocal()
         scale.scale(-1.0)
         S: list[list[PETSc.Mat]] = [[None] * n for _ in range(n)]

@@ -108,8 +108,11 @@ class Blocks:
         blocks, components = self.multiplier.blocks, self.multiplier.components
         return blocks, self.points.sum_by_facet(values).reshape(*blocks.shape, components)
 
-    def body_residual(self, state: LawState, kinematics: Kinematics) -> list[tuple[Index, Array]]:
-        """The forces of contact on the contactor's and the target's nodes; 0 where prescribed."""
+    def body_residual(
+        self, state: LawState, kinematics: Kinematics, *, reactions: bool = False
+    ) -> list[tuple[Index, Array]]:
+        """What contact adds to the residual at the contactor's and the target's nodes (N): minus its forces on them; where
+        prescribed 0, or with `reactions` what the support must bear."""
         forces, j, at = kinematics.forces(state), self.points.j, kinematics.at
         on_contactor = self.points.N[:, :, None] * (j[:, None] * forces.contactor)[:, None, :]
         if forces.tangents is not None:
@@ -117,10 +120,11 @@ class Blocks:
         closed = np.flatnonzero(state.status != OPEN)
         on_target = at.N[closed][:, :, None] * (j[:, None] * forces.target)[closed][:, None, :]
         nodes = self.target.facets[at.point.facet[closed]]
-        return [
-            (self.contactor, self.points.sum_by_facet(on_contactor) * ~self.fixed),
-            (self.target.blocks[nodes], on_target * ~self.target.fixed[nodes]),
+        parts = [
+            (self.contactor, self.points.sum_by_facet(on_contactor), self.fixed),
+            (self.target.blocks[nodes], on_target, self.target.fixed[nodes]),
         ]
+        return [(blocks, values if reactions else values * ~fixed) for blocks, values, fixed in parts]
 
     # ---------------------------------------------------------------- tangent, eqs. (6)–(10)
 

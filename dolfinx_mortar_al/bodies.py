@@ -89,6 +89,15 @@ class Body:
         b.ghostUpdate(addv=_ADD, mode=PETSc.ScatterMode.REVERSE)
         return np.asarray(b.array_r)
 
+    def positions(self) -> Array:
+        """(owned nodes, gdim) where the nodes are now (m)."""
+        X = self.space.tabulate_dof_coordinates()[: self.owned, : self.mesh.geometry.dim]
+        return np.asarray(X + self.u.x.array[: X.size].reshape(X.shape))
+
+    def last_residual(self) -> Array:
+        """(owned dofs,) what :meth:`residual` returned last (N)."""
+        return np.asarray(self._residual.x.petsc_vec.array_r)
+
     def set_bc_rows(self, b: Array) -> None:
         """Put u − ū on the prescribed rows of `b` (owned dofs,), which the row's unit diagonal then drives to zero."""
         for bc in self.bcs:
@@ -225,6 +234,10 @@ class Bodies:
         """(owned dofs,) a copy of the displacements."""
         return np.concatenate([b.u.x.array[: p.stop - p.start] for b, p in zip(self.bodies, self._slices, strict=True)])
 
+    def split(self, values: Array) -> list[Array]:
+        """The parts (owned dofs,) of each body of an array of all."""
+        return [values[part] for part in self._slices]
+
     def snapshot(self) -> dict[str, Array]:
         """The displacements (owned dofs,)."""
         return {"u": self.get()}
@@ -317,6 +330,12 @@ class Bodies:
         for body, part in zip(self.bodies, self._slices, strict=True):
             body.set_bc_rows(local[part])
         return norms
+
+    def forces(self, *, again: bool) -> Array:
+        """(owned dofs,) the bulk's residual (N) with reactions in the prescribed rows: evaluated `again` at the
+        present state, or as it was last."""
+        parts = [body.residual() if again else body.last_residual() for body in self.bodies]
+        return np.concatenate(parts)
 
     def inverted_volume(self) -> float:
         """Reference volume of inverted cells, at the bulk's Gauss points (collective)."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot, inverse
+from dolfinx_mortar_al.search import balls
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions, surface_normal
 
 __all__ = ["ClosestPoint", "closest_in_facet", "project"]
@@ -24,6 +25,7 @@ Index = NDArray[np.int64]
 
 MAX_ITERATIONS = 30
 TOLERANCE = 1e-9  # on the step in η: Newton squares the error, what is left after such a step is round-off
+MEETING = 1e-9  # of a facet: distances from facets that meet at the closest point differ by less
 AT_SIDE = 1e-6  # |𝐱 − 𝐲| over the facets' size below which its direction is noise: the facet's own normal serves
 
 
@@ -129,11 +131,9 @@ def project(target: GatheredFacets, positions: Array, x: Array, candidates: Inde
         x: (n, gdim) current contactor points (m).
         candidates: (n, k) facets that may hold the closest point, padded with −1.
     """
-    point, row, column = np.arange(len(x)), *np.nonzero(candidates >= 0)
+    point = np.arange(len(x))
+    row, column, η, distance = _closest_of(target, positions, x, candidates)
     facet = candidates[row, column]
-    nodes = positions[target.facets[facet]]
-    η = closest_in_facet(target.shape, nodes, x[row])
-    distance = np.linalg.norm(x[row] - combine(target.shape.tabulate(η)[0], nodes), axis=1)
 
     table = np.full(candidates.shape, np.inf)
     table[row, column] = distance
@@ -144,13 +144,37 @@ def project(target: GatheredFacets, positions: Array, x: Array, candidates: Inde
     best = pair[point, chosen]
     at, on_side = _at(target, positions, x, TargetPoint(facet[best], η[best]))
     if on_side.size:
-        meeting = np.flatnonzero(distance <= distance[best][row] + 1e-9 * target.size_of_facets)
+        meeting = np.flatnonzero(distance <= distance[best][row] + MEETING * target.size_of_facets)
         meeting = meeting[np.isin(row[meeting], on_side)]
         _turn_to_point(
             at, x, on_side, _meeting_normals(target, positions, facet[meeting], η[meeting], row[meeting], len(x))
         )
     _finish(target, positions, at)
     return at
+
+
+def _closest_of(
+    target: GatheredFacets, positions: Array, x: Array, candidates: Index
+) -> tuple[Index, Index, Array, Array]:
+    """Row and column (m,) of the candidates that matter, the point η (m, dim) of each that is closest to 𝐱 and its distance
+    (m,): of the facet whose middle is the nearest, and of those in balls no farther than that point."""
+    centre, radius = balls(positions[target.facets])
+    away = np.where(candidates < 0, np.inf, np.linalg.norm(x[:, None] - centre[candidates], axis=2))
+    first = np.argmin(away, axis=1)
+    away -= radius[candidates]
+
+    def look(row: Index, column: Index) -> tuple[Index, Index, Array, Array]:
+        nodes = positions[target.facets[candidates[row, column]]]
+        η = closest_in_facet(target.shape, nodes, x[row])
+        return row, column, η, np.linalg.norm(x[row] - combine(target.shape.tabulate(η)[0], nodes), axis=1)
+
+    every: Index = np.arange(len(x))
+    begun = look(every, first)
+    away[every, first] = np.inf
+    rest = look(*np.nonzero(away <= begun[3][:, None] + MEETING * target.size_of_facets))
+    row, column = (np.concatenate([begun[k], rest[k]]) for k in (0, 1))
+    η, distance = (np.concatenate([begun[k], rest[k]]) for k in (2, 3))
+    return row, column, η, distance
 
 
 def _at(target: GatheredFacets, positions: Array, x: Array, point: TargetPoint) -> tuple[ClosestPoint, Index]:

@@ -47,6 +47,7 @@ Decisions = tuple[IntegrationPoints, tuple[Bool, Index, bool]]
 SOFTER = 0.125  # ε over what the bulk yields to pressure at the surface (docs/newton.md)
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
 FIRMEST = 10.0  # the same for ε_N in time steps: partly closed facets overlap by p/ε_N
+NEAR = 2.0  # of the target's facets: gaps that may close in a step
 FAR = 100.0  # times more or less than by default: where Newton has been seen to fail for ε
 
 
@@ -648,9 +649,9 @@ class ContactPair(PairResults):
         """∫ r·N1 Λ* dS₀, eq. (4), as :meth:`Blocks.multiplier_residual`."""
         return self.blocks.multiplier_residual(self.state)
 
-    def body_residual(self) -> list[tuple[Index, Array]]:
+    def body_residual(self, *, reactions: bool = False) -> list[tuple[Index, Array]]:
         """−∫ t·(N1 U1* − N2(η) U2*) dS₀, eq. (4), as :meth:`Blocks.body_residual`."""
-        return self.blocks.body_residual(self.state, self.kinematics)
+        return self.blocks.body_residual(self.state, self.kinematics, reactions=reactions)
 
     def _act(self) -> Index:
         """Points whose derivative is not that of an open point with ε_N = ε_T, or a ν that is held."""
@@ -661,6 +662,11 @@ class ContactPair(PairResults):
         """Contact's share of the Jacobian, eq. (6)."""
         return self.blocks.tangent(self.law, self.state, self._Λ, self.kinematics, self._act())
 
-    def couples(self) -> Index:
-        """Where the matrices have entries now, as :meth:`Blocks.couples`."""
-        return self.blocks.couples(self.kinematics, self._act())
+    def couples(self, near: bool = False) -> Index:
+        """Where the matrices have entries now, as :meth:`Blocks.couples`; with `near` also where they might have soon, for
+        points that face the target within NEAR of its facets."""
+        act = self._act()
+        if near:
+            at = self.kinematics.at
+            act = np.union1d(act, np.flatnonzero(at.facing & (np.abs(at.g) <= NEAR * self.target.size)))
+        return self.blocks.couples(self.kinematics, act)

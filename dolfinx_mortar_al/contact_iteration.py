@@ -20,6 +20,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.linear_solver import LinearSolver
+from dolfinx_mortar_al.linearised_bulk import LinearisedBulk
 from dolfinx_mortar_al.problem import ContactProblem
 
 __all__ = ["ContactIteration"]
@@ -89,20 +90,19 @@ class ContactIteration:
         self._at_z, patterns = True, [p.contact_pattern()]
         if patterns[0] == before:
             return None
-        bulk, left = p.bulk_jacobian(), self._linear.affordable_solves()
+        bulk, left = LinearisedBulk(p), self._linear.affordable_solves()
         self._total.set(0.0)
         size = self._balance(bulk, y)
         while left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
-            p.assemble_jacobian(bulk)
-            self._linear.renew_contact()
-            left -= self._solve(left)
+            matrix = bulk.renew()
+            self._linear.renew_contact(matrix)
+            left -= self._solve(matrix, left)
             self._total.axpy(1.0, self._step)
             z.axpy(-1.0, self._step)
             self._evaluate()
             self._step.waxpy(1.0, y, self._total)
             size = self._balance(bulk, self._step)
             patterns.append(p.contact_pattern())
-        bulk.destroy()
         if len(patterns) == 1:
             return None
         self._at_z = False
@@ -127,20 +127,20 @@ class ContactIteration:
         self._f.axpy(-1.0, self._goal)
         p.decide(self._f)
 
-    def _balance(self, bulk: PETSc.Mat, y: PETSc.Vec) -> float:
+    def _balance(self, bulk: LinearisedBulk, y: PETSc.Vec) -> float:
         """In f the residual at x − y, its bulk linear from x on, less what may be left; returns its size."""
         p = self.problem
-        bulk.mult(y.getNestSubVecs()[0], p.bulk_forces)
+        bulk.forces(y.getNestSubVecs()[0], p.bulk_forces)
         p.bulk_forces.aypx(-1.0, self._forces)
         p.add_contact(self._f)
         self._f.axpy(-1.0, self._goal)
         return self._size(self._f)
 
-    def _solve(self, most: int) -> int:
+    def _solve(self, matrix: PETSc.Mat, most: int) -> int:
         """A semi-smooth step, by no more than `most` solves with the factors; how many it took."""
         self._ksp.setTolerances(rtol=LINEAR, max_it=most)
         self._ksp.setGMRESRestart(most)
-        self._ksp.setOperators(self.problem.matrix)
+        self._ksp.setOperators(matrix)
         self._ksp.solve(self._f, self._step)
         solves = self._ksp.getIterationNumber() + 1
         self.steps, self.solves = self.steps + 1, self.solves + solves

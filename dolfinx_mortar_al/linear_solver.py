@@ -137,7 +137,9 @@ class LinearSolver:
     # ---------------------------------------------------------------- solves
 
     def begin(self) -> None:
-        """A new Newton solve: FGMRES is tried again, where it had failed."""
+        """A new Newton solve: multigrid's coarse spaces are chosen anew, and FGMRES is tried again, where it had failed."""
+        if self.iterative:
+            self._blocks.stale = True
         if self.iterative and self._failure is not None:
             self._failure, self._blocks.idle = None, False
             self._ksp.setTolerances(max_it=MOST)
@@ -210,10 +212,10 @@ class LinearSolver:
         else:
             self._factorised().getPC().getFactorMatrix().solve(b, x)
 
-    def renew_contact(self) -> None:
-        """Contact's share of the problem's matrix has changed: bring up to date what costs little."""
+    def renew_contact(self, matrix: PETSc.Mat) -> None:
+        """Contact's share has changed, which makes the Jacobian this `matrix`: bring up to date what costs little."""
         if self.iterative and self._failure is None:
-            self._blocks.renew_surface()
+            self._blocks.renew_surface(matrix.getNestSubMatrix(0, 0))
 
     def affordable_solves(self) -> int:
         """How many times :meth:`apply` costs as much as COSTS factorisations, the same on any number of ranks."""

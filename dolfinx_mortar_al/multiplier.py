@@ -66,15 +66,21 @@ class MultiplierSpace:
     def __init__(self, facets: Facets, order: int, components: int, redundant: Bool) -> None:
         domain = facets.space.mesh
         self.components, self.shape = components, ShapeFunctions(facets.shape.cell, order)
-        self.submesh, entities = submesh(domain, facets.shape.dim, facets.entities)
-        value = (components,) if components > 1 else ()
-        V = fem.functionspace(self.submesh, ("Lagrange", order, value))
+        self._facets = facets
+        self.submesh, self._entities = submesh(domain, facets.shape.dim, facets.entities)
+        V, self.dofs = self.lagrange(order, components)
         self.field = fem.Function(V, name="multiplier")
         own = _own_nodes(self.shape, facets.shape)
-        self.dofs = _match(V, facets, own, entities)
         self.blocks = V.dofmap.index_map.local_to_global(self.dofs.ravel()).reshape(self.dofs.shape)
         self._mark(redundant[:, own])
         self.T = self._extrapolations(self.shape)
+
+    def lagrange(self, order: int, components: int) -> tuple[fem.FunctionSpace, NDArray[np.int32]]:
+        """A Lagrange space on the facets' own mesh, of order 1 or that of the displacement, and its (nf, nodes) local
+        block dofs in the order of the nodes of a facet's element."""
+        V = fem.functionspace(self.submesh, ("Lagrange", order, (components,) if components > 1 else ()))
+        own = _own_nodes(ShapeFunctions(self._facets.shape.cell, order), self._facets.shape)
+        return V, _match(V, self._facets, own, self._entities)
 
     def _mark(self, redundant: Bool) -> None:
         """A node is redundant on every rank and facet that has it, or on none."""
@@ -132,15 +138,6 @@ class MultiplierSpace:
     def nodal(self) -> Array:
         """(nf, nodes, components) nodal values on each facet, extrapolated ones included."""
         return np.einsum("fiab,fbi->fai", self.T, self.own_nodal())
-
-    def complete(self) -> fem.Function:
-        """A copy of the field for output, the redundant nodes filled with their extrapolated values."""
-        filled = self.field.copy()
-        filled.name = self.field.name
-        values = filled.x.array.reshape(-1, self.components)
-        where = np.nonzero(self.redundant)
-        values[self.dofs[where[0], where[1]], where[2]] = self.nodal()[where]
-        return filled
 
 
 def _own_nodes(shape: ShapeFunctions, facet: ShapeFunctions) -> NDArray[np.int64]:

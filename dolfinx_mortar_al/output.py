@@ -8,7 +8,6 @@ import ctypes
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
@@ -18,13 +17,14 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.checkpoint import Checkpoint
-from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.contact_fields import ContactorFunctions
 from dolfinx_mortar_al.motion import Motion
+from dolfinx_mortar_al.picture import picture
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.ranks import on_root, together
 from dolfinx_mortar_al.validation import vector
 
-__all__ = ["History", "ParaView", "Profile", "Run", "contact_profile", "deformed_cells", "extent", "probe", "summary"]
+__all__ = ["History", "ParaView", "Run", "deformed_cells", "extent", "picture", "probe", "summary"]
 
 Array = NDArray[np.float64]
 
@@ -163,7 +163,11 @@ def _number(name: str, value: Any) -> float:
 
 
 class ParaView:
-    """ParaView series (.bp): displacement on the bodies, and each pair's multiplier on its contactor's facets.
+    """ParaView series (.bp): the displacement on the bodies, and on each pair's contactor, a surface mesh of its own, what
+    :class:`~dolfinx_mortar_al.contact_fields.ContactorFunctions` holds: displacement, gap, pressure, tangential
+    traction, slip, status and multiplier. *Warp By Vector* with "displacement" brings either to the present positions.
+
+    Files are ``displacement.bp`` (``displacement_0.bp`` … of several meshes) and ``contactor_<name of the pair>.bp``.
 
     Args:
         problem: the problem.
@@ -180,20 +184,19 @@ class ParaView:
         folder, self._comm, later = Path(directory), problem.comm, "" if not resume else f"_from_{resume:.6g}"
         on_root(problem.comm, lambda: folder.mkdir(parents=True, exist_ok=True))
         self.problem = problem
-        self._multipliers = [pair.multiplier.complete() for pair in problem.pairs]
+        self._contactors = [ContactorFunctions(pair) for pair in problem.pairs]
         bodies = problem.bodies.bodies
         names = ["displacement"] if len(bodies) == 1 else [f"displacement_{k}" for k in range(len(bodies))]
         for body in bodies:
             body.u.name = "displacement"
-        fields = {name: body.u for name, body in zip(names, bodies, strict=True)} | {
-            f"multiplier_{pair.name}": field for pair, field in zip(problem.pairs, self._multipliers, strict=True)
-        }
+        series = {name: [body.u] for name, body in zip(names, bodies, strict=True)}
+        series |= {f"contactor_{c.pair.name}": list(c.functions.values()) for c in self._contactors}
         self._writers = [
             together(
                 problem.comm,
-                partial(VTXWriter, f.function_space.mesh.comm, folder / f"{name}{later}.bp", [f], engine="BP4"),
+                partial(VTXWriter, own[0].function_space.mesh.comm, folder / f"{name}{later}.bp", own, engine="BP4"),
             )
-            for name, f in fields.items()
+            for name, own in series.items()
         ]
 
     def write(self, time: float) -> None:
@@ -202,8 +205,8 @@ class ParaView:
         Raises:
             RuntimeError: on every rank, if it cannot be written.
         """
-        for pair, field in zip(self.problem.pairs, self._multipliers, strict=True):
-            field.x.array[:] = pair.multiplier.complete().x.array
+        for contactor in self._contactors:
+            contactor.update()
         for writer in self._writers:
             self._attempt(partial(writer.write, time))
 
@@ -329,27 +332,3 @@ def _current(u: fem.Function) -> Array:
     V = u.function_space
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
     return np.asarray(X + u.x.array.reshape(-1, V.dofmap.index_map_bs))
-
-
-@dataclass
-class Profile:
-    """Contact along a contactor, at its Gauss points in order of X: reference and current position (m), pressure p and
-    nominal traction on the contactor (Pa), gap −g (m), status (0 open, 1 slip, 2 stick)."""
-
-    X: Array
-    x: Array
-    pressure: Array
-    traction: Array
-    gap: Array
-    status: NDArray[np.int8]
-
-
-def contact_profile(problem: ContactProblem, pair: ContactPair) -> Profile | None:
-    """The pair's contact state gathered on rank 0 (else None)."""
-    mine = (pair.points(), pair.positions(), pair.state.p, pair.state.t, -pair.kinematics.faced.g, pair.state.status)
-    gathered = problem.comm.gather(mine, root=0)
-    if gathered is None:
-        return None
-    columns = [np.concatenate(c) for c in zip(*gathered, strict=True)]
-    order = np.lexsort(np.round(columns[0], 12).T[::-1])
-    return Profile(*(c[order] for c in columns))

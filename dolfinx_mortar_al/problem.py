@@ -117,7 +117,7 @@ class ContactProblem:
             pair.start()
         for pair in self.pairs:
             pair.check_behind()
-        #: whether matrices get room for the neighbours of facets in contact in space, too: fill that factors would pay for
+        #: whether matrices get room for facets near contact and their neighbours in space, too: fill for factors
         self.spare_pattern = False
         #: what solves the linear systems, in words if made a text; set by the Newton solver
         self.linear_solver: object = None
@@ -128,6 +128,18 @@ class ContactProblem:
         #: size of forces that a step of bodies in motion resolves, on all pieces (N); None in statics
         self.force_reference: float | None = None
         self.gap_floor = [2e-15 * diameter * pair.area for pair in self.pairs]
+
+    def pair(self, name: str) -> ContactPair:
+        """The pair of a name.
+
+        Raises:
+            ValueError: if there is none, with the names there are.
+        """
+        for pair in self.pairs:
+            if pair.name == name:
+                return pair
+        known = ", ".join(repr(pair.name) for pair in self.pairs) or "none: the problem has no contacts"
+        raise ValueError(f"name = {name!r}: no contact pair is called that; known are {known}")
 
     def _pieces_of(self, pair: ContactPair) -> NDArray[np.bool_]:
         """(pieces,) which connected pieces a pair's forces act on (collective)."""
@@ -179,11 +191,13 @@ class ContactProblem:
         diagonals, pattern = self.bodies.stiffness()
         self.blocks[0][0] = matrix_with_pattern(self.bodies.layout, pattern)
         del pattern
+        #: contact's share of blocks[0][0], in rows of the surfaces alone
+        self.contact_share = empty_matrix(self.bodies.layout, self.bodies.layout)
+        self.contact_share.assemble()
+        self._outgrown = False  # whether its pattern has grown since it was part of the matrix
         self._diagonals = diagonals
         #: some unprescribed displacement meets no stiffness, as a flat membrane's across it; until a step has converged
         self.lacks_stiffness = self.bodies.lacks_stiffness(diagonals)
-        #: contact's element matrices in blocks[0][0]
-        self._contact_share: list[tuple[Index, Index, Array]] = []
         #: a fictitious tension in the Jacobian, as a share of the stiffness (no part of the residual)
         self.tension, self._tension_matrix = 0.0, None
         #: springs on the pieces that contact alone holds, in the Jacobian only: (N/m) and the share of them in use
@@ -201,7 +215,7 @@ class ContactProblem:
         return diagonals
 
     def _grow_pattern(self) -> None:
-        """Give the matrices room for the facet couples now in contact, beside all those seen before.
+        """Give contact's matrices room for the facet couples now in contact, beside all those seen before.
 
         The pattern only grows, so that the symbolic factorisation is kept while contact stays on the same couples.
         """
@@ -209,8 +223,9 @@ class ContactProblem:
         grown = any(len(np.setdiff1d(n, seen, assume_unique=True)) for n, seen in zip(new, self._seen, strict=True))
         if not self.comm.allreduce(grown, MPI.LOR):
             return
+        self._outgrown = True
         for k, pair in enumerate(self.pairs, start=1):
-            wide = new[k - 1]
+            wide = pair.couples(near=True) if self.spare_pattern else new[k - 1]
             if self.gdim == 2 or self.spare_pattern:
                 wide = pair.blocks.with_neighbours(wide, pair.kinematics)
             unseen = np.setdiff1d(wide, self._seen[k - 1], assume_unique=True)
@@ -226,9 +241,12 @@ class ContactProblem:
                     entries.setValuesRCV(idle[:, None], idle[:, None], np.zeros((len(idle), 1, 1)), _ADD)
                 entries.assemble()
                 # into the new matrix: a preconditioner may still work with the old one
-                entries.axpy(1.0, self.blocks[i][j], structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-                self.blocks[i][j] = entries
-        self._make_nest()
+                if i == j == 0:
+                    entries.axpy(1.0, self.contact_share, structure=_DIFFERENT)
+                    self.contact_share = entries
+                else:
+                    entries.axpy(1.0, self.blocks[i][j], structure=_DIFFERENT)
+                    self.blocks[i][j] = entries
 
     def _make_nest(self) -> None:
         self.matrix = PETSc.Mat().createNest(self.blocks, comm=self.comm)
@@ -301,48 +319,58 @@ class ContactProblem:
             pair.apply_law()
         self.add_contact(f)
 
+    def support_forces(self) -> list[Array]:
+        """Of each body (owned dofs,) the residual in the state last solved for, with what supports bear in the
+        prescribed rows (N), collective. In time steps it is the mean over the last one."""
+        total = self.bodies.layout.vector()
+        total.array[:] = self.bodies.forces(again=self.force_reference is None)
+        total.assemble()
+        for pair in self.pairs:
+            for blocks, values in pair.body_residual(reactions=True):
+                insert_vector(total, blocks, values)
+        total.assemble()
+        return self.bodies.split(total.array_r)
+
     def masses(self, forms: Sequence[Any]) -> tuple[PETSc.Mat, list[fem.Function]]:
         """The bodies' mass matrix from one bilinear form per body, and its diagonal on each."""
         return self.bodies.masses(forms, self.blocks[0][0].duplicate())
 
-    def bulk_jacobian(self) -> PETSc.Mat:
-        """The displacements' block of the Jacobian last assembled, without contact's share, at the same state."""
-        bulk = self.blocks[0][0].copy()
-        for elements in self._contact_share:
-            insert(bulk, *elements, -1.0)
-        bulk.assemble()
-        return bulk
+    def assemble_jacobian(self) -> None:
+        """The derivative of the residual at the state last evaluated."""
+        self.assemble_contact()
+        with self.stopwatch("bulk"):
+            if self._outgrown:
+                wider = self.contact_share.copy()
+                wider.axpy(1.0, self.blocks[0][0], structure=_DIFFERENT)
+                self.blocks[0][0] = wider
+                self._make_nest()
+                self._outgrown = False
+            A = self.blocks[0][0]
+            A.zeroEntries()
+            self._add_bulk()
+            A.assemble()
+            A.axpy(1.0, self.contact_share, structure=_SUBSET)
+            self.matrix.assemble()
 
-    def assemble_jacobian(self, bulk: PETSc.Mat | None = None) -> None:
-        """The derivative of the residual at the state last evaluated, or with `bulk` for the bulk's share."""
+    def assemble_contact(self) -> None:
+        """Contact's share of that derivative, with all of the multipliers' rows and columns; the displacements' block stays
+        as it is, and with it :attr:`matrix`, which is of no use from then on if the pattern has grown."""
         with self.stopwatch("contact"):
             self._grow_pattern()
-            for row in self.blocks:
-                for block in row:
-                    if block is not None:
-                        block.zeroEntries()
-            self._contact_share = []
+            mine = [self.contact_share] + [B for row in self.blocks for B in row[1:] if B is not None]
+            mine += [row[0] for row in self.blocks[1:]]
+            for block in mine:
+                block.zeroEntries()
             for k, pair in enumerate(self.pairs, start=1):
                 element, unit = pair.tangent(), pair.unit
-                self._contact_share.append(element.UU)
-                insert(self.blocks[0][0], *element.UU)
+                insert(self.contact_share, *element.UU)
                 insert(self.blocks[0][k], *element.UΛ, unit)
                 insert(self.blocks[k][0], *element.ΛU, unit)
                 insert(self.blocks[k][k], *element.ΛΛ, unit**2)
                 idle = pair.multiplier.idle
                 self.blocks[k][k].setValuesRCV(idle[:, None], idle[:, None], np.full((len(idle), 1, 1), unit), _ADD)
-        with self.stopwatch("bulk"):
-            if bulk is None:
-                self._add_bulk()
-            else:
-                self.blocks[0][0].assemble()
-                self.blocks[0][0].axpy(1.0, bulk, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        with self.stopwatch("contact"):
-            for row in self.blocks:
-                for block in row:
-                    if block is not None:
-                        block.assemble()
-            self.matrix.assemble()
+            for block in mine:
+                block.assemble()
 
     def _add_bulk(self) -> None:
         """Add the bulk's derivative, and what helps singular Jacobians."""
@@ -370,7 +398,7 @@ class ContactProblem:
         A.assemble()
         if self._tension_matrix is None:
             self._tension_matrix = self.bodies.tension(A, self._diagonals)
-        A.axpy(self.tension, self._tension_matrix, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        A.axpy(self.tension, self._tension_matrix, structure=_SUBSET)
 
     def _add_springs(self) -> None:
         A, k = self.blocks[0][0], self.springs
@@ -445,3 +473,4 @@ class ContactProblem:
 
 
 _ADD = PETSc.InsertMode.ADD
+_DIFFERENT, _SUBSET = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN

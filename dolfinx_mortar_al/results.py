@@ -8,6 +8,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.contact_fields import ContactFields, gathered
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.kinematics import Kinematics
 from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, LawState
@@ -72,6 +73,14 @@ class PairResults:
     def positions(self) -> Array:
         """(n, gdim) where they are now (m)."""
         return self.kinematics.positions()
+
+    def fields(self) -> ContactFields:
+        """Gap, pressure, traction, slip and status at this rank's integration points."""
+        return ContactFields.of(self)
+
+    def fields_on_root(self) -> ContactFields | None:
+        """The same at all integration points, in order of X, on rank 0; None on the others (collective)."""
+        return gathered(self.fields(), self.comm)
 
     def force(self) -> Array:
         """(gdim,) resultant of the contact tractions on the contactor (N), collective."""

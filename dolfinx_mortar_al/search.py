@@ -1,11 +1,11 @@
 """Broad phase: which target facets can hold the closest point of each contactor point, or meet its ray.
 
-Candidates are found with a margin and stay valid until points, nodes or rays have moved by a quarter of it.
+Candidates are found with a margin and stay valid until points, nodes or rays have moved by a quarter of it. Points are looked
+at in groups of neighbours: the facets that a group can have to do with are few, however large the target.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,15 +13,19 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.surface import GatheredFacets
 
-__all__ = ["CandidateSearch", "RaySearch", "candidates", "ray_candidates"]
+__all__ = ["CandidateSearch", "RaySearch", "balls", "candidates", "ray_candidates"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-BATCH = 2**20  # couples of points and facets looked at together: bounds the memory of a search
+GROUP, BATCH = (
+    128,
+    2**18,
+)  # fewest points, and couples with all facets, looked at together: less makes more steps than work
+BITS = 10  # of each coordinate along the curve that groups are cut from
 
 
-def _balls(facets: Array) -> tuple[Array, Array]:
+def balls(facets: Array) -> tuple[Array, Array]:
     """Centre (nf, gdim) and radius (nf,) of a ball around each facet with nodes (nf, k, gdim)."""
     centre = facets.mean(axis=1)
     # a facet of order 2 stays within 1.25 times the hull of its nodes seen from their mean (Lebesgue constant)
@@ -29,21 +33,35 @@ def _balls(facets: Array) -> tuple[Array, Array]:
 
 
 def _table(row: Index, facet: Index, n: int) -> Index:
-    """(n, k) the facets of each row, padded with −1, from couples in order of `row`."""
+    """(n, k) the facets of each row, padded with −1, from couples."""
+    order = np.argsort(row, kind="stable")
+    row, facet = row[order], facet[order]
     count = np.bincount(row, minlength=n)
     table = np.full((n, max(1, int(count.max(initial=0)))), -1, dtype=np.int64)
     table[row, np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)] = facet
     return table
 
 
-def _squared_distances(x: Array, centre: Array) -> Iterator[tuple[slice, Array]]:
-    """A slice of the points 𝐱 (n, gdim) at a time, and its (·, nf) squared distances from the centres (m²); both are
-    near the coordinates' origin, far from it distances would lose their digits."""
-    size, batch = np.einsum("fi,fi->f", centre, centre), max(1, BATCH // max(len(centre), 1))
-    for first in range(0, len(x), batch):
-        part = slice(first, first + batch)
-        p = x[part]
-        yield part, size - 2 * p @ centre.T + np.einsum("ni,ni->n", p, p)[:, None]
+def _groups(x: Array, facets: int) -> list[Index]:
+    """The points 𝐱 (n, gdim) in groups of neighbours: pieces of a curve through a grid's cells in Morton's order."""
+    (n, d), size = x.shape, max(GROUP, BATCH // max(facets, 1))
+    if n <= size:
+        return [np.arange(n)] if n else []
+    low = x.min(axis=0, initial=np.inf)
+    width = max(float((x.max(axis=0, initial=-np.inf) - low).max(initial=0.0)), 1e-300)
+    cell = np.clip(np.nan_to_num((x - low) / width * 2**BITS), 0, 2**BITS - 1).astype(np.int64)
+    key = np.zeros(n, dtype=np.int64)
+    for bit in range(BITS):
+        for i in range(d):
+            key |= (cell[:, i] >> bit & 1) << (d * bit + i)
+    order = np.argsort(key, kind="stable")
+    return [order[first : first + size] for first in range(0, n, size)]
+
+
+def _squared_distances(x: Array, centre: Array) -> Array:
+    """(n, nf) of points and centres near the coordinates' origin: far from it distances would lose their digits."""
+    size = np.einsum("fi,fi->f", centre, centre)
+    return np.maximum(size - 2 * x @ centre.T + np.einsum("ni,ni->n", x, x)[:, None], 0.0)
 
 
 def candidates(x: Array, facets: Array, margin: float) -> Index:
@@ -54,17 +72,20 @@ def candidates(x: Array, facets: Array, margin: float) -> Index:
         facets: (nf, nodes, gdim) positions of the facets' nodes.
         margin: allowance for motion (m).
     """
-    centre, radius = _balls(facets)
+    centre, radius = balls(facets)
     rows: list[Index] = [np.empty(0, dtype=np.int64)]
     columns: list[Index] = [np.empty(0, dtype=np.int64)]
-    origin = centre.mean(axis=0)
-    for part, squared in _squared_distances(x - origin, centre - origin):
-        distance = np.sqrt(np.maximum(squared, 0.0))
+    for group in _groups(x, len(centre)):
+        middle, near = x[group].mean(axis=0), np.arange(len(centre))
+        if len(group) < len(x):
+            spread, far = _spread(x[group] - middle), np.linalg.norm(centre - middle, axis=1)
+            near = near[~(far - radius > far.min() + radius.max() + 2 * spread + margin)]
+        distance = np.sqrt(_squared_distances(x[group] - middle, centre[near] - middle))
         # no point of the target is closer than `nearest` to x, and one is at most that far: a node of the nearest facet
-        nearest = np.linalg.norm(x[part, None] - facets[distance.argmin(axis=1)], axis=2).min(axis=1)
-        i, j = np.nonzero(distance - radius <= nearest[:, None] + margin)
-        rows.append(part.start + i)
-        columns.append(j)
+        nearest = np.linalg.norm(x[group, None] - facets[near[distance.argmin(axis=1)]], axis=2).min(axis=1)
+        i, j = np.nonzero(distance - radius[near] <= nearest[:, None] + margin)
+        rows.append(group[i])
+        columns.append(near[j])
     return _table(np.concatenate(rows), np.concatenate(columns), len(x))
 
 
@@ -76,21 +97,42 @@ def ray_candidates(x: Array, normal: Array, facets: Array, margin: float) -> tup
         x: (n, gdim) points; normal: (n, gdim) unit vectors.
         facets: (nf, nodes, gdim) positions of the facets' nodes.
     """
-    centre, radius = _balls(facets)
-    origin = centre.mean(axis=0)
-    centre, x = centre - origin, x - origin
-    along_facets, along_points = centre @ normal.T, np.einsum("ni,ni->n", x, normal)
+    centre, radius = balls(facets)
     rows: list[Index] = [np.empty(0, dtype=np.int64)]
     columns: list[Index] = [np.empty(0, dtype=np.int64)]
     reach = np.zeros(len(x))
-    for part, squared in _squared_distances(x, centre):
-        along = along_facets[:, part].T - along_points[part, None]
-        i, j = np.nonzero(squared - along**2 <= (radius + margin) ** 2)
-        reach[part] = 2 * np.sqrt(np.maximum(squared.min(axis=1), 0.0))
-        np.maximum.at(reach, part.start + i, np.abs(along[i, j]))
-        rows.append(part.start + i)
-        columns.append(j)
+    for group in _groups(x, len(centre)):
+        middle, n = x[group].mean(axis=0), normal[group]
+        near: Index = np.arange(len(centre))
+        if len(group) < len(x):
+            near = near[_near_lines(x[group] - middle, n, centre - middle, radius + margin)]
+        p, c = x[group] - middle, centre[near] - middle
+        squared, along = _squared_distances(p, c), n @ c.T - np.einsum("ni,ni->n", p, n)[:, None]
+        i, j = np.nonzero(squared - along**2 <= (radius[near] + margin) ** 2)
+        reach[group] = 2 * np.sqrt(squared.min(axis=1))
+        np.maximum.at(reach, group[i], np.abs(along[i, j]))
+        rows.append(group[i])
+        columns.append(near[j])
     return _table(np.concatenate(rows), np.concatenate(columns), len(x)), reach
+
+
+def _spread(x: Array) -> float:
+    return float(np.linalg.norm(x, axis=1).max())
+
+
+def _near_lines(x: Array, normal: Array, centre: Array, reach: Array) -> NDArray[np.bool_]:
+    """(nf,) balls around `centre` (nf, gdim) of radius `reach` (nf,) that some line through 𝐱 (n, gdim) may meet, and those
+    whose centre may be the nearest to some 𝐱; the points' mean is the origin.
+
+    With the points' spread ρ, a direction 𝐦 and δ = max |𝐧 − 𝐦| a centre 𝐟 is at most ρ + δ |𝐟| nearer to a line than to that
+    through the origin along 𝐦.
+    """
+    m, spread = normal[0], _spread(x)
+    turned = min(1.0, _spread(normal - m))
+    far, along = np.linalg.norm(centre, axis=1), centre @ m
+    beside = np.sqrt(np.maximum(far**2 - along**2, 0.0))
+    beyond = (beside > reach + spread + turned * far) & (far > far.min() + 2 * spread)
+    return ~beyond  # what is no number is near to all
 
 
 @dataclass

@@ -1,5 +1,6 @@
 """Each demo runs, with a number to hold it to."""
 
+import importlib.util
 import json
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from dolfinx_mortar_al import read_msh
 from meshes.two_beams import TwoBeams
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
+import tutorial
 import two_beams
 import two_membranes
 import two_rings
@@ -126,3 +128,16 @@ def test_solid_cells_say_the_dimension_of_space(shared_path):
     assert read_msh(path)[0].geometry.dim == 3
     with pytest.raises(ValueError, match="cells of dimension 3 in space of dimension gdim = 2"):
         read_msh(path, gdim=2)
+
+
+def test_tutorial_ends_in_sliding(monkeypatch, shared_path):
+    """On a coarse mesh: the whole sole slides at last, and the base is dragged by μ = 0.4 of what it bears, to a tenth, as
+    pressure on the sole's inclined edge has a part along the drag. All files are there."""
+    if importlib.util.find_spec("pyvista") is None:
+        monkeypatch.setattr(tutorial.output, "picture", lambda problem, path, *_, **__: path.touch())
+    drag, press = tutorial.main(shared_path, size=0.008)
+    assert press > 80 and drag / press == pytest.approx(0.4, rel=0.1)
+    wanted = {"pressed.png", "dragged.png", "pressure.png", "history.csv", "summary.json", "displacement.bp"}
+    assert wanted | {"contactor_sole.bp"} <= {file.name for file in shared_path.iterdir()}
+    rows = np.genfromtxt(shared_path / "history.csv", delimiter=",", names=True)
+    assert rows["time"][-1] == 2.0 and rows["stick"][-1] < 0.05

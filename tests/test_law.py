@@ -73,3 +73,52 @@ def test_a_frozen_bound_takes_the_place_of_μp():
     assert np.allclose(friction[slip & ~np.isnan(frozen)], 0.05, rtol=1e-14)
     assert np.allclose(state.t[np.isnan(frozen)], free.t[np.isnan(frozen)], rtol=1e-14)
     assert np.all(state.slope[~np.isnan(frozen)] == 0.0)
+
+
+@pytest.mark.parametrize("branch", ["stick", "slip", "open"])
+def test_printed_equations_as_corrected_are_the_derivative(branch):
+    """Eqs. (8)-(10) as docs/theory.md has them, with ν held, against central differences of eq. (4) in Λ, in the gap
+    and in the slip (1e-7); in slip (8) as printed is off by more than 1e-2."""
+    εN, εT, μ, ν = 3.0, 2.0, 0.4, np.array([2.0, -1.0, 2.0]) / 3
+    P, νν = np.eye(3) - np.outer(ν, ν), np.outer(ν, ν)
+    Λ, s = {"stick": 2.0, "slip": 1.0, "open": -2.0}[branch] * ν, np.array([0.1, 0.2, -0.3])
+    s = s * (0.3 if branch == "stick" else 2.0)
+
+    def hats(Λ, g, s):
+        λN, λT = ν @ Λ + εN * g, P @ (-Λ + εT * s)
+        return λN, λT, max(λN, 0.0)
+
+    def evaluate(Λ, g, s):
+        _, λT, p = hats(Λ, g, s)
+        f = λT * min(1.0, μ * p / np.linalg.norm(λT))
+        return p * ν - f, (p - ν @ Λ) / εN * ν + (-P @ Λ - f) / εT  # the contactor's force and R_Λ
+
+    _, λT, p = hats(Λ, 0.01, s)
+    n, H = np.linalg.norm(λT), float(p > 0)
+    β, χ = min(1.0, μ * p / n), float(μ * p < n)
+    hν, hh = np.outer(λT, ν) / n, np.outer(λT, λT) / n**3
+    eq8 = -H * νν + χ * μ * H * hν + χ * μ * p * hh - β * P
+    eq9_gap = -H * νν + χ * μ * H * εN / εT * hν
+    eq9_slip = χ * μ * p * hh - β * P
+    eq10 = (H - 1) / εN * νν - χ * μ * H / εT * hν - χ * μ * p / εT * hh - (1 - β) / εT * P
+    assert (χ, H) == {"stick": (0, 1), "slip": (1, 1), "open": (1, 0)}[branch]
+    step, δ = 1e-6, np.eye(3)
+
+    def derivative(which, change):
+        ahead, behind = (
+            evaluate(*(np.add(v, h * d) for v, d in zip((Λ, 0.01, s), change, strict=True)))[which]
+            for h in (step, -step)
+        )
+        return (ahead - behind) / (2 * step)
+
+    columns = {
+        "8": (eq8, [-derivative(0, (d, 0, 0 * d)) for d in δ]),
+        "9, N": (eq9_gap, [derivative(1, (0 * d, -ν @ d, 0 * d)) for d in δ]),
+        "9, δy": (eq9_slip, [derivative(1, (0 * d, 0, d)) for d in δ]),
+        "10": (eq10, [derivative(1, (d, 0, 0 * d)) for d in δ]),
+    }
+    for name, (printed, found) in columns.items():
+        assert np.allclose(printed, np.transpose(found), atol=1e-7), name
+    if branch == "slip":
+        misprinted8 = eq8 + χ * μ * p * (hν / n**2 - hh)
+        assert np.abs(misprinted8 - np.transpose(columns["8"][1])).max() > 1e-2

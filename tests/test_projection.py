@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from dolfinx_mortar_al import search
 from dolfinx_mortar_al.closest_point import project
-from dolfinx_mortar_al.search import CandidateSearch, candidates
+from dolfinx_mortar_al.search import CandidateSearch, candidates, ray_candidates
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions
 
 CELLS = {
@@ -104,3 +105,24 @@ def test_candidates_hold_the_closest_facet_after_motion_within_the_margin(cell):
     a = project(surface, surface.X, moved, near)
     b = project(surface, surface.X, moved, every)
     assert np.allclose(np.linalg.norm(moved - a.y, axis=1), np.linalg.norm(moved - b.y, axis=1), atol=1e-12)
+
+
+@pytest.mark.parametrize("gdim", [2, 3])
+def test_groups_of_points_find_what_all_facets_looked_at_would(gdim, monkeypatch):
+    """Facets and points anywhere, rays in all directions: the groups' first cut loses nothing. The oracle is one group."""
+    rng = np.random.default_rng(gdim)
+    facets = rng.uniform(-1, 1, (300, 1, gdim)) + 0.04 * rng.standard_normal((300, gdim, gdim))
+    x, normal = rng.uniform(-1.2, 1.2, (200, gdim)), rng.standard_normal((200, gdim))
+    normal[100:] = normal[100] + 0.1 * normal[100:]  # half of them like those of a smooth surface
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    found = []
+    for most in (10**6, 1):
+        monkeypatch.setattr(search, "BATCH", most)
+        monkeypatch.setattr(search, "GROUP", 16)
+        table, (on_rays, reach) = candidates(x, facets, 0.05), ray_candidates(x, normal, facets, 0.05)
+        found.append([np.sort(table, axis=1), np.sort(on_rays, axis=1), reach])
+    assert 1 < found[0][0].shape[1] < 300 and found[0][1].shape[1] < 300
+    for whole, grouped in zip(*found, strict=True):
+        assert np.allclose(whole, grouped, rtol=1e-9, atol=0)
+    nowhere = np.full((20, gdim), np.nan)  # a Newton step that went wrong: no error, the residual will say so
+    assert len(candidates(nowhere, facets, 0.05)) == len(ray_candidates(nowhere, nowhere, facets, 0.05)[1]) == 20

@@ -12,8 +12,9 @@ from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, output, quasistatic
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, quasistatic
 from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.contact_fields import ContactFields
 from dolfinx_mortar_al.materials import lame
 from dolfinx_mortar_al.obstacles import Obstacle
 from dolfinx_mortar_al.verify.case import Effort
@@ -123,8 +124,8 @@ def mean(u: fem.Function, axis: int, dx: ufl.Measure) -> float:
     return float(total / size)
 
 
-def profile(problem: ContactProblem) -> output.Profile:
+def profile(problem: ContactProblem) -> ContactFields:
     """The first pair's contact state along its contactor, on every rank."""
-    found = problem.comm.bcast(output.contact_profile(problem, problem.pairs[0]))
+    found = problem.comm.bcast(problem.pairs[0].fields_on_root())
     assert found is not None
     return found

@@ -12,7 +12,8 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinx_mortar_al import ContactProblem, Surface, loads, materials, output
+from dolfinx_mortar_al import ContactProblem, Surface, loads, materials
+from dolfinx_mortar_al.contact_fields import ContactFields
 from dolfinx_mortar_al.verify.case import Effort, Outcome, Quantity, Run, case
 from dolfinx_mortar_al.verify.meshes import build, grid
 from dolfinx_mortar_al.verify.model import hold, make_contact, march, measures, profile, space, unknowns
@@ -41,7 +42,7 @@ def stress_defect(u: fem.Function, laws: Sequence[materials.Hyperelastic], cell_
 
 def patch(
     dim: int, order: int, simplices: bool, stiff: bool, cells: tuple[int, int], effort: Effort
-) -> tuple[float, float, int, output.Profile]:
+) -> tuple[float, float, int, ContactFields]:
     """(defect of the pressure, of the stress, unknowns, contact) of two blocks, the upper one the contactor."""
     bodies = []
     for k, n in enumerate(cells):
@@ -89,7 +90,7 @@ def series(dim: int, quick: bool) -> Outcome:
             else:
                 values |= {f"{name}pressure": (float(worst[0]), 0.0), f"{name}stress": (float(worst[1]), 0.0)}
 
-        def draw(axes: Any, contact: output.Profile = contact) -> None:
+        def draw(axes: Any, contact: ContactFields = contact) -> None:
             axes.plot(contact.X[:, 0], contact.pressure / PRESSURE, ".", markersize=3)
             axes.set(xlabel="x (m)", ylabel="pressure / applied", title="coarse contactor, order 2, simplices")
 

@@ -1,0 +1,56 @@
+"""A Jacobian whose bulk is that of one state and whose contact is that of another, without a copy of the bulk's matrix."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+from dolfinx_mortar_al.problem import ContactProblem
+
+__all__ = ["LinearisedBulk"]
+
+
+class LinearisedBulk:
+    """The bulk's derivative K at the state where the problem's Jacobian was last assembled.
+
+    That Jacobian's displacement block is A = K + C₀ with contact's share C₀, in rows of the surfaces alone. With contact's
+    share C of another state the block is A − C₀ + C: three products, and nothing as large as A is touched, nor what has been
+    made from A.
+    """
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self._problem, self._A = problem, problem.blocks[0][0]
+        self._then = problem.contact_share.copy()
+
+    def renew(self) -> PETSc.Mat:
+        """The Jacobian with contact's share at the state last evaluated (collective)."""
+        p = self._problem
+        p.assemble_contact()
+        A = PETSc.Mat().createPython((p.bodies.layout.sizes, p.bodies.layout.sizes), self, comm=p.comm)
+        A.setUp()
+        whole = PETSc.Mat().createNest([[A, *p.blocks[0][1:]], *p.blocks[1:]], comm=p.comm)
+        whole.assemble()
+        return whole
+
+    def forces(self, u: PETSc.Vec, f: PETSc.Vec) -> None:
+        """f ← K u."""
+        self._A.mult(u, f)
+        _add_product(-1.0, self._then, u, f)
+
+    # ---------------------------------------------------------------- PETSc's interface
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """y ← (A − C₀ + C) x."""
+        self.forces(x, y)
+        _add_product(1.0, self._problem.contact_share, x, y)
+
+    def getDiagonal(self, mat: PETSc.Mat, diagonal: PETSc.Vec) -> None:
+        """The diagonal of A − C₀ + C."""
+        self._A.getDiagonal(diagonal)
+        diagonal.axpy(-1.0, self._then.getDiagonal())
+        diagonal.axpy(1.0, self._problem.contact_share.getDiagonal())
+
+
+def _add_product(factor: float, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+    product = y.duplicate()
+    matrix.mult(x, product)
+    y.axpy(factor, product)
