@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, obstacles
 from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.dynamics import StepFailure
 from dolfinx_mortar_al.law import OPEN
-from dolfinx_mortar_al.quasistatic import StepFailure
 from meshes.round_bodies import Round, RoundBodies
 
 Array = NDArray[np.float64]

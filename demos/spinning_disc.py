@@ -29,7 +29,6 @@ from mpi4py import MPI
 
 from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, monitors, obstacles, output
-from dolfinx_mortar_al.quasistatic import StepFailure
 from meshes.disc import RIM, Disc
 
 RADIUS, THICKNESS, DENSITY, MU, NU = 0.1, 0.02, 6000.0, 0.3, 0.333
@@ -92,7 +91,7 @@ def simulate(args: argparse.Namespace, spin: str, directory: Path) -> tuple:
                 contact_force_y=fy, min_det_F=watch[0].range()[0],
             )  # fmt: skip
             frames += [output.deformed_cells(u)] if args.animate and step.nominal else []
-    except StepFailure as failure:
+    except dynamics.StepFailure as failure:
         end = f"{failure}, {(time * V - args.gap) / args.size:.2g} h/V_n from touch"
     else:
         losses = np.array([getattr(ledger, name) for name in ENERGIES[2:]]) / sum(getattr(ledger, e) for e in ENERGIES)

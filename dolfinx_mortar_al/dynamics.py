@@ -122,6 +122,9 @@ def march(
     said = (start, to, tolerance, [float(motion.time_step.value) for motion in all_motions])
     agreed(problem.comm, "start, to, tolerance, Δt", said)
     problem.members |= {f"motion{k}": motion for k, motion in enumerate(all_motions)}
+    steps = sorted({float(motion.time_step.value) for motion in all_motions})
+    if len(steps) > 1:
+        raise ValueError(f"step = {steps}: all motions of a problem need the same Δt")
     θ = {motion.theta for motion in all_motions}
     if len(θ) > 1:
         raise ValueError(f"theta = {sorted(θ)}: all motions of a problem need the same θ")
@@ -174,14 +177,14 @@ class _TimeControl(Controller[Step]):
     ) -> None:
         self.problem, self.motions, self.move, self.solver = problem, motions, move, solver
         self._way, self.smallest, self._event, self._over = way, way.smallest, event, False
-        self.levels = [pair.use_steps() for pair in problem.pairs]
-        self._projection = VelocityProjection(problem, motions)
         self._given = ledger
         self._rate: Array | None = None
         self._next_rate: Array | None = None
         self._time, self._number = way.start, 1
 
     def begin(self) -> None:
+        self.levels = [pair.use_steps() for pair in self.problem.pairs]
+        self._projection = VelocityProjection(self.problem, self.motions)
         self.problem.evaluate()
         now = self._with_state(Ledger(0.0, 0.0) if self._given is None else self._given)
         self.ledger = now if self._given is None else self._given

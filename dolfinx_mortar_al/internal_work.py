@@ -85,6 +85,8 @@ def internal_work(
     membrane = isinstance(law, NeoHookeanMembrane)
     check_law(u, membrane=membrane, what=f"Motion with {type(law).__name__}")
     gradient = tangent_gradient if membrane else deformation_gradient
+    if membrane and thickness != 1.0:
+        raise ValueError(f"thickness = {thickness}: a membrane has its own; leave it out")
     F0, F1 = gradient(old), gradient(u)
     depth, more = (law.thickness, (u.function_space.mesh.topology.dim,)) if membrane else (thickness, ())
     if consistent:

@@ -93,6 +93,8 @@ class Motion:
         """The parts and their densities."""
         several = isinstance(material, list | tuple)
         listed: Any = material if several else [(material, None)]
+        if not listed:
+            raise ValueError("material = []: no part has a law or form")
         parts = []
         for k, item in enumerate(listed):
             if several and not (isinstance(item, tuple) and len(item) == 2 and isinstance(item[1], ufl.Measure)):

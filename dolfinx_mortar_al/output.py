@@ -241,7 +241,7 @@ class Run:
         motions: of a dynamic run, for the checkpoint.
 
     Attributes:
-        start: load or time of the problem's state; ledger: of a dynamic run that goes on.
+        start: load, time or path of the problem's state, 0 at its start; ledger: of a dynamic run that goes on.
     """
 
     def __init__(

@@ -117,6 +117,8 @@ def march(
         if to is not None or increments is not None:
             raise ValueError("to, increments: each Stage has its own; leave them out")
         stages = validation.listed("load", load, Stage, "a Stage")
+        if not stages:
+            raise ValueError("load = []: pass a load, a Stage or a list of them")
         legs = _legs(problem, stages, None)
         begin = 0.0 if start is None else validation.number("start", start, least=0.0, most=float(len(legs)))
     else:

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials
 from dolfinx_mortar_al.checkpoint import Checkpoint
-from dolfinx_mortar_al.quasistatic import StepFailure
+from dolfinx_mortar_al.dynamics import StepFailure
 from meshes.gmsh_session import distribute
 from meshes.round_bodies import Round, RoundBodies
 
