@@ -19,7 +19,7 @@ from mpi4py import MPI
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, output, quasistatic, reaction, read_msh
 
 PLATE, FOOT, BASE, FACE, SOLE, HEAD = 1, 2, 11, 12, 13, 14  # physical groups: two volumes, four surfaces
-COLUMNS = ["time", "drag", "press", "closed", "stick", "newton_iterations", "wall_time"]  # of history.csv
+COLUMNS = ["path", "drag", "press", "closed", "stick", "newton_iterations", "wall_time"]  # of history.csv
 
 
 # 1. Geometry and mesh. One gmsh model holds both bodies. They may touch, but must not share nodes: never `fragment` them.
@@ -85,29 +85,22 @@ def main(directory: Path, size: float) -> tuple[float, float]:
     problem = ContactProblem(F, u, bcs=[base, head], contacts=[contact])
     sole = problem.pair("sole")
 
-    # 5. Load steps. A march changes a load in increments and yields each converged step. Friction remembers the way: press
-    #    first, drag then. An increment that does not converge is undone, slip included, and tried again at half its size;
-    #    `step.rejected` counts these trials, and it is no harm if there are some. If the smallest increment fails too, the
-    #    march ends with a StepFailure whose text says where and why; docs/when_it_does_not_converge.md says what to do then.
+    # 5. Load steps. A march moves a load (a Constant, a Function or a function of yours) through stages, each in increments,
+    #    and yields every converged step. Friction remembers the way: first press, then drag. An increment that does not
+    #    converge is undone, slip included, and tried again at half its size; `step.rejected` counts these trials, and a few
+    #    are no harm. If the smallest increment fails too, the march ends with a StepFailure whose text says where and why;
+    #    docs/when_it_does_not_converge.md says what to do then.
+    press = quasistatic.Stage(led, to=(0.0, 0.0, -0.002), increments=4)
+    drag = quasistatic.Stage(led, to=(0.008, 0.0, -0.002), increments=8)
     run = output.Run(problem, directory, COLUMNS, {"size": size}, paraview=True)
-
-    def record(step: quasistatic.Step, time: float) -> None:
-        push = reaction(problem, head).force  # what leads the foot feels this force (N)
+    for step in quasistatic.march(problem, [press, drag], progress=True):
+        push = reaction(problem, head).force  # with which the foot is led (N)
         run.record(
-            step, time, time=time, drag=push[0], press=-push[2], closed=sole.closed_fraction(), stick=sole.stick_fraction()
+            step, step.path, path=step.path, drag=push[0], press=-push[2], closed=sole.closed_fraction(),
+            stick=sole.stick_fraction(),
         )  # fmt: skip
-
-    def press(t: float) -> None:
-        led.value[:] = (0.0, 0.0, -0.0020 * t)
-
-    def drag(t: float) -> None:
-        led.value[:] = (0.0080 * t, 0.0, -0.0020)
-
-    for step in quasistatic.march(problem, press, to=1.0, increments=4, progress=True):
-        record(step, step.load)
-    output.picture(problem, directory / "pressed.png", "pressure", title="pressed by 2 mm")
-    for step in quasistatic.march(problem, drag, to=1.0, increments=8, progress=True):
-        record(step, 1.0 + step.load)
+        if step.path == 1.0:
+            output.picture(problem, directory / "pressed.png", "pressure", title="pressed by 2 mm")
     output.picture(problem, directory / "dragged.png", title="dragged by 8 mm")
     output.picture(problem, directory / "pressure.png", "pressure", view=(0.3, -0.6, -1.0), title="from below")
 

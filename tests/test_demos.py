@@ -140,4 +140,4 @@ def test_tutorial_ends_in_sliding(monkeypatch, shared_path):
     wanted = {"pressed.png", "dragged.png", "pressure.png", "history.csv", "summary.json", "displacement.bp"}
     assert wanted | {"contactor_sole.bp"} <= {file.name for file in shared_path.iterdir()}
     rows = np.genfromtxt(shared_path / "history.csv", delimiter=",", names=True)
-    assert rows["time"][-1] == 2.0 and rows["stick"][-1] < 0.05
+    assert rows["path"][-1] == 2.0 and rows["stick"][-1] < 0.05
