@@ -66,7 +66,7 @@ def main(directory: Path, size: float) -> tuple[float, float]:
     mesh, cells, facets = read_msh(directory / "foot.msh")
 
     # 2. Bodies. One displacement for both; a stored energy each, on the cells of its volume. Second order pays on curved
-    #    surfaces and where bodies bend; first order (change the 2) is quicker.
+    #    surfaces and where bodies bend; first order (change the 2 and leave out `setOrder`) is quicker.
     V = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     u = fem.Function(V)
     dx = ufl.Measure("dx", mesh, subdomain_data=cells)
@@ -106,8 +106,9 @@ def main(directory: Path, size: float) -> tuple[float, float]:
 
     # 6. Results. Numbers of each pair (force, contact_area, stick_fraction, ...); its fields at the integration points as
     #    arrays, here gathered on rank 0; reactions of supports. Whether to believe them: the support below bears what the
-    #    head puts in, and where the whole sole slides, friction is μ times the pressure. For ParaView open displacement.bp
-    #    and contactor_sole.bp and warp both by "displacement".
+    #    head puts in, and where the whole sole slides, friction is μ times the pressure (the ratio printed here is a little
+    #    off 0.4, as pressure on the rounded edge has a part along the drag). For ParaView open displacement.bp and
+    #    contactor_sole.bp and warp both by "displacement".
     run.finish()
     down = reaction(problem, base).force
     now = sole.fields_on_root()
