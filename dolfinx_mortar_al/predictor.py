@@ -56,6 +56,11 @@ class Predictor:
         """Undo: back to the last converged state."""
         self.problem.restore(self._states[-1])
 
+    @property
+    def extrapolates(self) -> bool:
+        """Whether there is a direction to extrapolate in."""
+        return len(self._states) > 1
+
     def predict(self, abscissa: float) -> None:
         """Displacement and multipliers extrapolated to an abscissa; and λ̂_N, which says what points to expect closed,
         linearly and half the way only: too much closed costs more iterations than too little (docs/newton.md). The last

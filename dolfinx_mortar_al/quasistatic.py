@@ -89,10 +89,10 @@ def march(
 ) -> Iterator[Step]:
     """Solve at growing loads and yield each converged step.
 
-    A step that fails is undone, slip history included, and tried again at half the increment (a quarter if Newton made no
-    progress), which grows back after easy steps. The asked-for loads are always met: `increments` equal parts of the way.
-    A load begins where it stands, at the end of an earlier march or as a checkpoint has brought it back; a function that
-    no march has called yet, at 0.
+    A step that fails is undone, slip history included, and tried again without a prediction, then at half the increment (a
+    quarter if Newton made no progress), which grows back after easy steps. The asked-for loads are always met: `increments`
+    equal parts of the way. A load begins where it stands, at the end of an earlier march or as a checkpoint has brought it
+    back; a function that no march has called yet, at 0.
 
     Args:
         problem: to solve.
@@ -291,6 +291,9 @@ class _LoadControl(Controller[Step]):
         self._legs, self._event, self._predictor = legs, event, Predictor(problem)
         self.leg, self._start = int(start), start - int(start)
         self._leg_over = self._over = False
+        self._from_last = self._tried_from_last = (
+            False  # whether the next, any trial of this step does without a prediction
+        )
         self._path = start
 
     def begin(self) -> None:
@@ -326,10 +329,17 @@ class _LoadControl(Controller[Step]):
         leg = self._legs[self.leg]
         self._x = leg.x + length
         self._tried = self._words(leg, self._x)
-        self._predictor.predict(self._x / leg.increments)
+        predicted = self._predictor.extrapolates and not self._from_last
+        if not self._from_last:
+            self._predictor.predict(self._x / leg.increments)
         with leg.watch:
             leg.load.set(leg.value(self._x))
-        return _solve(self.problem, self.solver)
+        attempt = _solve(self.problem, self.solver)
+        # a prediction may leave nothing sticking that holds a body; the last state has what held it (docs/newton.md)
+        self._from_last = not attempt.newton.converged and predicted and not self._tried_from_last
+        if self._from_last:
+            attempt.cut, self._tried_from_last = 1.0, True
+        return attempt
 
     def undo(self) -> None:
         self._leg_over = self._over = False
@@ -341,6 +351,7 @@ class _LoadControl(Controller[Step]):
 
     def accept(self, done: stepping.Step) -> Step:
         leg, stage = self._legs[self.leg], self.leg
+        self._from_last = self._tried_from_last = False
         self.problem.commit()
         leg.x, self._at = self._x, self._tried
         self._predictor.add(leg.x / leg.increments)
