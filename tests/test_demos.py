@@ -13,6 +13,7 @@ from dolfinx_mortar_al import read_msh
 from meshes.two_beams import TwoBeams
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
+import flattened_ring
 import press_and_drag
 import tutorial
 import two_beams
@@ -66,6 +67,20 @@ def test_two_membranes_lock_and_say_so(monkeypatch, shared_path, capsys):
         assert "the membranes lock" in capsys.readouterr().out
         two_membranes.draw({case: (history, curves, contact)}, shared_path)
         assert (shared_path / "figure2.png").stat().st_size > 10_000
+
+
+def test_flattened_ring_carries_what_presses_it(monkeypatch, shared_path):
+    """Before the bore closes the ring is a soft spring; then the plates' force climbs tenfold in the last 2 % of the radius,
+    and the bore carries it: its largest pressure is one to three times the force over the closed length."""
+    arguments = ["--size", "0.015", "--increments", "10", "--order", "1", "--output", str(shared_path)]
+    monkeypatch.setattr(sys, "argv", ["flattened_ring.py", *arguments])
+    history, states = flattened_ring.simulate(flattened_ring.options(), shared_path)
+    force, area = history.column("force"), history.column("bore_area")
+    closed = area > 0
+    assert closed[-1] and not closed[: len(closed) // 2].any()
+    assert force[-1] > 10 * force[~closed].max()
+    assert 1.0 < history.column("bore_pressure")[-1] * area[-1] / force[-1] < 3.0  # peak over mean
+    assert len(states) == 4
 
 
 def test_two_rings_keep_momenta_and_energy(monkeypatch, shared_path):
