@@ -80,7 +80,8 @@ class ContactIteration:
         return known
 
     def improve(self, x: PETSc.Vec, y: PETSc.Vec, start: float, residual: PETSc.Vec, share: float) -> PETSc.Vec | None:
-        """What to add to y so that contact settles on the linearised bulk; None if it has (collective).
+        """What to add to y so that contact settles on the linearised bulk, and in space its forces follow; None if they have
+        (collective).
 
         The linear solver was last used with the Jacobian at x, `residual` is that at x, and y is a `share` of Newton's step:
         the same share of the residual is to be taken away. `start` is its size before the active set's last decisions.
@@ -93,13 +94,11 @@ class ContactIteration:
         z.waxpy(-1.0, y, x)
         self._evaluate()
         self._at_z, patterns = True, [p.contact_pattern()]
-        corrects = share == 1.0 and self._linear.is_solid
-        if patterns[0] == before and not corrects:
+        settled, may_correct = patterns[0] == before, share == 1.0 and self._linear.is_solid
+        if settled and not may_correct:
             return None
-        bulk, left = LinearisedBulk(p), self._linear.affordable_solves()
+        bulk, left = LinearisedBulk(p), 0 if settled else self._linear.affordable_solves()
         self._total.set(0.0)
-        if patterns[0] == before:
-            left = 0
         size = self._balance(bulk, y)
         while left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
             matrix = bulk.renew()
@@ -111,7 +110,7 @@ class ContactIteration:
             self._step.waxpy(1.0, y, self._total)
             size = self._balance(bulk, self._step)
             patterns.append(p.contact_pattern())
-        corrected = corrects and self._correct(bulk, start)
+        corrected = may_correct and self._correct(bulk, start)
         if len(patterns) == 1 and not corrected:
             return None
         self._at_z = False
