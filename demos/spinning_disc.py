@@ -19,12 +19,9 @@ that a fraction of h/V_n after touch, h being the mesh size. --case stiff: E = 1
 import argparse
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import ufl
 from dolfinx import fem
-from matplotlib.animation import PillowWriter
-from matplotlib.collections import PolyCollection
 from mpi4py import MPI
 
 from demos.demo_options import add_options
@@ -105,6 +102,8 @@ def simulate(args: argparse.Namespace, spin: str, directory: Path) -> tuple:
 
 def draw(results: dict[str, tuple], directory: Path) -> None:
     """Figure 4: energies against time for each spin, and the way of the centre."""
+    import matplotlib.pyplot as plt
+
     figure, axes = plt.subplots(1, len(results) + 1, figsize=(4.2 * (len(results) + 1), 4), layout="constrained")
     for axis, letter, (spin, (history, _)) in zip(axes, "abc", results.items(), strict=False):
         energies = np.array([history.column(name) for name in ENERGIES])
@@ -120,6 +119,10 @@ def draw(results: dict[str, tuple], directory: Path) -> None:
 
 def animate(results: dict[str, tuple], directory: Path) -> None:
     """spinning_disc.gif: the discs side by side, a half of each in another shade."""
+    import matplotlib.pyplot as plt
+    from matplotlib.animation import PillowWriter
+    from matplotlib.collections import PolyCollection
+
     figure, axis = plt.subplots(figsize=(3 * len(results), 2.5), layout="constrained")
     moments = list(zip(*(frames for _, frames in results.values()), strict=False))
     with (writer := PillowWriter(fps=15)).saving(figure, directory / "spinning_disc.gif", dpi=100):

@@ -66,7 +66,7 @@ def main(directory: Path, size: float) -> tuple[float, float]:
     mesh, cells, facets = read_msh(directory / "foot.msh")
 
     # 2. Bodies. One displacement for both; a stored energy each, on the cells of its volume. Second order pays on curved
-    #    surfaces and where bodies bend; first order (change the 2) is quicker.
+    #    surfaces and where bodies bend; first order (change the 2 and leave out `setOrder`) is quicker.
     V = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     u = fem.Function(V)
     dx = ufl.Measure("dx", mesh, subdomain_data=cells)
@@ -85,16 +85,16 @@ def main(directory: Path, size: float) -> tuple[float, float]:
     problem = ContactProblem(F, u, bcs=[base, head], contacts=[contact])
     sole = problem.pair("sole")
 
-    # 5. Load steps. A march moves a load along a straight line in increments and yields each converged step. Friction
-    #    remembers the way: press first, drag then, two stages. An increment that does not converge is undone, slip included,
-    #    and tried again at half its size; `step.rejected` counts these trials, and it is no harm if there are some. If the
-    #    smallest increment fails too, the march ends with a StepFailure whose text says where and why;
-    #    docs/when_it_does_not_converge.md says what to do then. `step.path` counts the stages, 0 to 2 here.
-    press = quasistatic.Stage(led, to=(0.0, 0.0, -0.0020), increments=4)
-    drag = quasistatic.Stage(led, to=(0.0080, 0.0, -0.0020), increments=8)
+    # 5. Load steps. A march moves a load (a Constant, a Function or a function of yours) through stages, each in increments,
+    #    and yields every converged step. Friction remembers the way: first press, then drag. An increment that does not
+    #    converge is undone, slip included, and tried again at half its size; `step.rejected` counts these trials, and a few
+    #    are no harm. If the smallest increment fails too, the march ends with a StepFailure whose text says where and why;
+    #    docs/when_it_does_not_converge.md says what to do then.
+    press = quasistatic.Stage(led, to=(0.0, 0.0, -0.002), increments=4)
+    drag = quasistatic.Stage(led, to=(0.008, 0.0, -0.002), increments=8)
     run = output.Run(problem, directory, COLUMNS, {"size": size}, paraview=True)
     for step in quasistatic.march(problem, [press, drag], progress=True):
-        push = reaction(problem, head).force  # what leads the foot feels this force (N)
+        push = reaction(problem, head).force  # with which the foot is led (N)
         run.record(
             step, step.path, path=step.path, drag=push[0], press=-push[2], closed=sole.closed_fraction(),
             stick=sole.stick_fraction(),
@@ -106,8 +106,9 @@ def main(directory: Path, size: float) -> tuple[float, float]:
 
     # 6. Results. Numbers of each pair (force, contact_area, stick_fraction, ...); its fields at the integration points as
     #    arrays, here gathered on rank 0; reactions of supports. Whether to believe them: the support below bears what the
-    #    head puts in, and where the whole sole slides, friction is μ times the pressure. For ParaView open displacement.bp
-    #    and contactor_sole.bp and warp both by "displacement".
+    #    head puts in, and where the whole sole slides, friction is μ times the pressure (the ratio printed here is a little
+    #    off 0.4, as pressure on the rounded edge has a part along the drag). For ParaView open displacement.bp and
+    #    contactor_sole.bp and warp both by "displacement".
     run.finish()
     down = reaction(problem, base).force
     now = sole.fields_on_root()

@@ -21,12 +21,9 @@ with which no closed point flies on into the target. Lost is what friction and t
 import argparse
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import ufl
 from dolfinx import fem
-from matplotlib.animation import PillowWriter
-from matplotlib.collections import PolyCollection
 from mpi4py import MPI
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, output
@@ -43,12 +40,7 @@ def options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--friction", type=float, default=0.4, help="coefficient μ (%(default)s)")
-    add(
-        "--size",
-        type=float,
-        default=0.01,
-        help="of the first ring's elements in m, the second's are 1.3 times it (%(default)s)",
-    )
+    add("--size", type=float, default=0.01, help="of elements in m; in the second ring 1.3 times it (%(default)s)")
     add("--order", type=int, default=2, choices=(1, 2), help="of displacement and geometry (%(default)s)")
     add("--step", type=float, default=5e-4, help="Δt in s (%(default)s)")
     add("--time", type=float, default=0.08, help="final time in s (%(default)s)")
@@ -103,6 +95,8 @@ def simulate(args: argparse.Namespace, directory: Path) -> tuple:
 
 def draw(history: output.History, directory: Path) -> None:
     """Energies, angular momenta and the contact force against time."""
+    import matplotlib.pyplot as plt
+
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(14, 4), layout="constrained")
     t = 1e3 * history.column("time")
     left.stackplot(t, [history.column(name) for name in ENERGIES], labels=ENERGIES, alpha=0.7)
@@ -123,6 +117,10 @@ def draw(history: output.History, directory: Path) -> None:
 
 def animate(frames: list, directory: Path) -> None:
     """two_rings.gif."""
+    import matplotlib.pyplot as plt
+    from matplotlib.animation import PillowWriter
+    from matplotlib.collections import PolyCollection
+
     figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
     low, high = (
         np.min([f.min(axis=(0, 1)) for f in frames], axis=0),

@@ -283,23 +283,35 @@ class ContactPair(PairResults):
             mine.append(self.target.at_nodes(u))
         return np.concatenate([values.reshape(-1, self.gdim) for values in [np.zeros((0, self.gdim)), *mine]])
 
+    def set_stiffness(self, diagonals: Sequence[fem.Function]) -> None:
+        """Fix ε by what the bulk has at the two surfaces, from diagonals (N/m) of the bodies' matrices."""
+        contactor, target = self._stiffnesses(diagonals)
+        c = self.contact
+        sides = [c.contactor, c.target] if isinstance(c.target, Surface) else [c.contactor]
+        self.stiffness_ratio = 0.0 if any(side.is_membrane for side in sides) else contactor / target
+        self.set_law(min(contactor, target))
+
     def surface_stiffness(self, diagonals: Sequence[fem.Function]) -> float:
         """The softer side's mean nodal stiffness per facet area (Pa/m), from diagonals (N/m) of the bodies' matrices."""
+        return min(self._stiffnesses(diagonals))
+
+    def _stiffnesses(self, diagonals: Sequence[fem.Function]) -> tuple[float, float]:
+        """The contactor's and the target's mean nodal stiffness per facet area (Pa/m)."""
         mine = next(d for d in diagonals if d.function_space is self._body1.space)
         own = self._at_nodes(mine).mean(axis=(1, 2)) / self.integration.sum_by_facet(self.j)
         count = self.comm.allreduce(self.facets.size)
         contactor = self.comm.allreduce(float(own.sum())) / count
-        sides = {
-            f"contactor (tag {self.contact.contactor.tag})": contactor,
-            f"target ({self.contact.target_name})": self.target.stiffness(diagonals, self.contact.thickness),
-        }
-        for side, stiffness in sides.items():
+        target = self.target.stiffness(diagonals, self.contact.thickness)
+        for side, stiffness in (
+            (f"contactor (tag {self.contact.contactor.tag})", contactor),
+            (f"target ({self.contact.target_name})", target),
+        ):
             if not stiffness > 0:
                 raise ValueError(
                     f"{self.name}: the {side} meets a stiffness of {stiffness:.3g} Pa/m in the start state: F has no "
                     "internal virtual work on its cells, or with the wrong sign"
                 )
-        return min(sides.values())
+        return contactor, target
 
     def set_law(self, stiffness: float, share: float = SOFTER, normal: float = SOFTER) -> None:
         """Fix ε_N and ε_T: the user's, or shares, that for ε_N called `normal`, of the bulk's `stiffness` at the two surfaces

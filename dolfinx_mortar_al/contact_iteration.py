@@ -10,6 +10,9 @@ derivative K at 𝐱_k it asks for x with
 contact as it is. Newton's step is the first semi-smooth step towards that x; the others follow here. Their matrices differ by
 contact's share alone from the one that has been factorised, by a low rank where few points have changed their state: GMRES
 with the factors at hand for preconditioner takes few iterations, and no form is assembled.
+
+What is left then is the bulk's nonlinearity alone. In space, where a factorisation costs as much as many solves, its forces
+are assembled at that x, and further steps are taken with the derivative at 𝐱_k (Shamanskii's method) as long as that pays.
 """
 
 from __future__ import annotations
@@ -26,6 +29,8 @@ from dolfinx_mortar_al.problem import ContactProblem
 __all__ = ["ContactIteration"]
 
 ENOUGH = 0.01  # of the residual that Newton's step started from: the bulk's nonlinearity leaves as much
+CHORD = 0.2  # of the residual: steps with an old derivative go on while each leaves less
+CHORDS, SOLVES = 3, 8  # at most so many of them in a Newton step, and solves in each
 LINEAR = 0.1  # relative tolerance of GMRES: the edge moves the same way with 1e-3, for twice the solves
 
 
@@ -88,10 +93,13 @@ class ContactIteration:
         z.waxpy(-1.0, y, x)
         self._evaluate()
         self._at_z, patterns = True, [p.contact_pattern()]
-        if patterns[0] == before:
+        corrects = share == 1.0 and self._linear.is_solid
+        if patterns[0] == before and not corrects:
             return None
         bulk, left = LinearisedBulk(p), self._linear.affordable_solves()
         self._total.set(0.0)
+        if patterns[0] == before:
+            left = 0
         size = self._balance(bulk, y)
         while left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
             matrix = bulk.renew()
@@ -103,10 +111,30 @@ class ContactIteration:
             self._step.waxpy(1.0, y, self._total)
             size = self._balance(bulk, self._step)
             patterns.append(p.contact_pattern())
-        if len(patterns) == 1:
+        corrected = corrects and self._correct(bulk, start)
+        if len(patterns) == 1 and not corrected:
             return None
         self._at_z = False
         return self._total
+
+    def _correct(self, bulk: LinearisedBulk, start: float) -> bool:
+        """Steps from z with the bulk's derivative at x, as long as each leaves a share CHORD of the residual or less; whether
+        any was taken."""
+        p, taken = self.problem, 0
+        for _ in range(CHORDS):
+            p.force_scale = p.bodies.residual(p.bulk_forces)
+            p.add_contact(self._f)
+            size = self._size(self._f)
+            if not 1.0 < size < CHORD * start:
+                break
+            matrix = bulk.renew()
+            self._linear.renew_contact(matrix)
+            self._solve(matrix, SOLVES)
+            self._total.axpy(1.0, self._step)
+            self._z.axpy(-1.0, self._step)
+            self._evaluate()
+            start, taken = size, taken + 1
+        return taken > 0
 
     def undo(self) -> None:
         """Take back the decisions of :meth:`improve`."""

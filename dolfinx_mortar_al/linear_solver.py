@@ -217,13 +217,17 @@ class LinearSolver:
         if self.iterative and self._failure is None:
             self._blocks.renew_surface(matrix.getNestSubMatrix(0, 0))
 
+    @property
+    def is_solid(self) -> bool:
+        """Whether there is a body in space, whose factors cost many solves."""
+        return max(body.mesh.topology.dim for body in self.problem.bodies.bodies) == 3
+
     def affordable_solves(self) -> int:
         """How many times :meth:`apply` costs as much as COSTS factorisations, the same on any number of ranks."""
         pc = (self._factorised() if self.iterative and self._failure is not None else self._ksp).getPC()
         if pc.getType() != "lu" or pc.getFactorSolverType() != "mumps":
             return SOLVES
-        N, bodies = self.problem.bodies.layout.sizes[1], self.problem.bodies.bodies
-        solid = max(body.mesh.topology.dim for body in bodies) == 3
+        N, solid = self.problem.bodies.layout.sizes[1], self.is_solid
         # floating-point operations of the factors over twice their entries, as MUMPS counts them on one rank: fits to 10 % in
         # the plane (88 to 42,000 unknowns), to 30 % in space (162 to 2250), where nested dissection has these powers
         ratio = 0.6 * N ** (2 / 3) if solid else 10 + 0.27 * N**0.5

@@ -19,7 +19,8 @@ class LinearisedBulk:
 
     def __init__(self, problem: ContactProblem) -> None:
         self._problem, self._A = problem, problem.blocks[0][0]
-        self._then = problem.contact_share.copy()
+        self._less = problem.contact_share.copy()  # −C₀
+        self._less.scale(-1.0)
 
     def renew(self) -> PETSc.Mat:
         """The Jacobian with contact's share at the state last evaluated (collective)."""
@@ -34,23 +35,17 @@ class LinearisedBulk:
     def forces(self, u: PETSc.Vec, f: PETSc.Vec) -> None:
         """f ← K u."""
         self._A.mult(u, f)
-        _add_product(-1.0, self._then, u, f)
+        self._less.multAdd(u, f, f)
 
     # ---------------------------------------------------------------- PETSc's interface
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """y ← (A − C₀ + C) x."""
         self.forces(x, y)
-        _add_product(1.0, self._problem.contact_share, x, y)
+        self._problem.contact_share.multAdd(x, y, y)
 
     def getDiagonal(self, mat: PETSc.Mat, diagonal: PETSc.Vec) -> None:
         """The diagonal of A − C₀ + C."""
         self._A.getDiagonal(diagonal)
-        diagonal.axpy(-1.0, self._then.getDiagonal())
+        diagonal.axpy(1.0, self._less.getDiagonal())
         diagonal.axpy(1.0, self._problem.contact_share.getDiagonal())
-
-
-def _add_product(factor: float, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-    product = y.duplicate()
-    matrix.mult(x, product)
-    y.axpy(factor, product)

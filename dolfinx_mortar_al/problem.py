@@ -113,7 +113,7 @@ class ContactProblem:
         with self.stopwatch("bulk"):
             stiffness = self._create_matrices()
         for pair in self.pairs:
-            pair.set_law(pair.surface_stiffness(self.bodies.yielding))
+            pair.set_stiffness(self.bodies.yielding)
             pair.start()
         for pair in self.pairs:
             pair.check_behind()
@@ -381,11 +381,12 @@ class ContactProblem:
             self._add_springs()
 
     def findings(self) -> list[Finding]:
-        """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse, whose
-        surfaces are prescribed to overlap, have passed through each other or overlap unfelt (collective)."""
+        """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse or
+        multiplier too fine, whose surfaces are prescribed to overlap, have passed through each other or overlap unfelt
+        (collective)."""
         looks = [monitor.look() for monitor in self.monitors]
         for pair in self.pairs:
-            looks += [pair.coarse_integration(), pair.prescribed_overlap(), *pair.unfelt()]
+            looks += [pair.coarse_integration(), pair.fine_multiplier(), pair.prescribed_overlap(), *pair.unfelt()]
         return [finding for finding in looks if finding is not None]
 
     def evaluate(self) -> None:

@@ -20,6 +20,7 @@ COLOURS = {"displacement (m)": "viridis"}  # any other quantity: from pale to da
 PLAIN, EDGES, BACKGROUND = "#c9ced6", "#3a3f47", "white"
 LETTERS = 1 / 40  # of the picture's height
 THIN, THICK = 1 / 900, 1 / 110
+IN_FRONT = 1e-3  # of the scene's size: how far edges lie before their faces
 MARGIN = 0.17  # of the width, for the scale
 
 
@@ -58,18 +59,19 @@ def render(scene: Mapping[str, Any], path: str) -> None:
     ):
         if len(cells):
             plotter.add_mesh(_mesh(scene["points"], values, faces=cells), lighting=solid, ambient=0.3 * solid, **style)
+    towards, up = scene["camera"]
+    nearer = towards / np.linalg.norm(towards) * IN_FRONT * np.linalg.norm(np.ptp(scene["points"], axis=0))
     if len(scene["lines"]):
-        lines = _mesh(scene["points"], values, lines=scene["lines"])
+        lines = _mesh(scene["points"] + 2 * nearer, values, lines=scene["lines"])
         plotter.add_mesh(lines, line_width=THICK * height, render_lines_as_tubes=solid, lighting=solid, **coloured)
     if len(scene["edges"]):
-        edges = _mesh(scene["points"], values, lines=scene["edges"])
+        edges = _mesh(scene["points"] + nearer, values, lines=scene["edges"])
         opacity = min(1.0, 3 * float(scene["opacity"]))
         plotter.add_mesh(edges, color=EDGES, line_width=max(THIN * height, 1.0), opacity=opacity)
     if str(scene["title"]):
         plotter.add_text(
             str(scene["title"]), position=(0.03, 0.93), viewport=True, font_size=2 * letters // 3, color=EDGES
         )
-    towards, up = scene["camera"]
     _look(plotter, scene["points"], towards, up, width / height)
     plotter.enable_anti_aliasing("ssaa")
     plotter.screenshot(path)

@@ -13,6 +13,7 @@ from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.kinematics import Kinematics
 from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, LawState
 from dolfinx_mortar_al.monitors import Finding
+from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.projection import Projection
 from dolfinx_mortar_al.segments import Segments
 from dolfinx_mortar_al.targets import Target
@@ -25,6 +26,12 @@ FINER = (
     "the target is finer than the contactor's integration points, which miss some of its facets: the pressure is "
     "inaccurate; swap contactor and target, refine the contactor or raise quadrature_degree"
 )
+FINE = (
+    "the contactor is finer than the target and stiffer: the target's facets cannot follow what the multiplier asks of them, "
+    "and pressures oscillate (resultants do not); swap contactor and target, or refine the target"
+)
+STIFFER = 4.0  # of stiffnesses per area: pressures on finer contactors were off by more than a tenth from there on
+ALIKE = 0.99  # spacings that are the same but for the shape of facets
 OVERLAP = "both surfaces are prescribed there and overlap: no contact force can part them; change the prescribed values"
 SHARE = 0.01  # of a target facet: overlaps below it are those of facets that do not match on curved surfaces
 AT_END = 0.1  # weight of the other nodes where a point counts as at the target's end
@@ -43,6 +50,9 @@ class PairResults:
     integration: IntegrationPoints
     kinematics: Kinematics
     target: Target
+    multiplier: MultiplierSpace
+    #: of the contactor's stiffness per area to the target's; 0 where one of them is a membrane
+    stiffness_ratio: float
     segments: Segments | None
     state: LawState
     _Λ: Array
@@ -150,6 +160,24 @@ class PairResults:
             None
             if value >= 1.0
             else Finding(f"{self.name}: target facets per point's distance", value, X, FINER, False)
+        )
+
+    def fine_multiplier(self) -> Finding | None:
+        """Whether the multiplier of a contactor that is stiffer than the target has nodes closer together than those of the
+        target's facets that it faces, in the mean over what is closed (collective)."""
+        if self.target.is_rigid or self.target.is_contactor or self.stiffness_ratio <= STIFFER:
+            return None
+        closed = np.flatnonzero(self.state.status != OPEN)
+        facets, j = self.integration.facets, self.j[closed]
+        extents = facets.areas() ** (1.0 / facets.shape.dim)
+        own = self.multiplier.shape.spacing * extents[self.integration.facet[closed]]
+        theirs = self.target.spacing * self.target.extents[self.at.point.facet[closed]]
+        mine, others = self.comm.allreduce(np.array([j @ own, j @ theirs]), MPI.SUM)
+        ratio = float(mine / others) if others > 0 else 1.0
+        return (
+            Finding(f"{self.name}: multiplier's spacing over the target's", ratio, (), FINE, False)
+            if ratio < ALIKE
+            else None
         )
 
     def prescribed_overlap(self) -> Finding | None:

@@ -95,6 +95,7 @@ class StepLevel(Kinematics):
         self._was_open: Bool = np.zeros(self.points.size, dtype=bool)
         self._closes: Array = np.zeros(self.points.size)
         self._follows = 0
+        self._c: Array = np.zeros_like(self.x)  # before the first step tractions are those of the law
 
     # ---------------------------------------------------------------- a step
 
@@ -239,6 +240,9 @@ class StepLevel(Kinematics):
     def forces(self, state: LawState) -> Forces:
         F = self._total(state)
         return Forces(-F, F, None if self.target.is_rigid else self.lever.transposed(F))
+
+    def traction(self, state: LawState) -> Array:
+        return self._total(state)
 
     def work(self, state: LawState, j: Array) -> StepWork:
         """What the tractions did in the step; j (n,) weights (m²)."""

@@ -126,6 +126,11 @@ class ShapeFunctions:
         """Nodes on each of the facet's own sides (vertices of an interval, edges of a polygon)."""
         return self.element.entity_closure_dofs[self.dim - 1]
 
+    @property
+    def spacing(self) -> float:
+        """Distance of neighbouring nodes over the root of a facet's area; two triangles have as many nodes as a square."""
+        return (np.sqrt(2.0) if len(self.corners) == 3 else 1.0) / self.order
+
     @cached_property
     def pieces(self) -> Index:
         """(pieces, dim + 1) nodes of the simplices that a facet is divided into, each oriented as the facet."""

@@ -47,10 +47,10 @@ def test_a_step_that_is_undone_leaves_nothing_behind_although_segments_have_move
 
 @pytest.mark.parametrize("cells", [4, 7])
 def test_iterations_do_not_grow_with_the_mesh(cells):
-    """A punch pressed into a slab in space: with nearly twice as many facets to go Newton takes 3 to 4 iterations, too."""
+    """A punch pressed into a slab in space: with nearly twice as many facets to go Newton takes 2 to 3 iterations, too."""
     scene = ironing.Scene(dim=3, cells=cells, order=1, steps=(3, 0))
     steps = [step for _, step in ironing.iron(scene, *ironing.build(scene, {}))]
-    assert max(step.iterations for step in steps) <= 4
+    assert max(step.iterations for step in steps) <= 3
     assert sum(step.rejected for step in steps) == 0
 
 

@@ -74,9 +74,10 @@ def test_fields_say_what_the_law_says(friction):
 def test_fields_in_impact():
     """A disc that hits a plane askew: the law holds in each step, and tractions sum up to the pair's force."""
     problem, motion = disc(velocity=lambda x: np.stack([8 + 0 * x[0], -8 + 0 * x[0]]), step=2e-3)
-    seen = np.zeros(3, dtype=int)
-    for _ in dynamics.march(problem, motion, to=0.01):
-        pair = problem.pairs[0]
+    pair, seen = problem.pairs[0], np.zeros(3, dtype=int)
+    march = dynamics.march(problem, motion, to=0.01)
+    assert not np.any(pair.fields().traction) and not np.any(pair.force())  # before the first step, too
+    for _ in march:
         assert_law(pair, 0.3)
         seen += pair.comm.allreduce(np.bincount(pair.fields().status, minlength=3))
     assert seen[OPEN] > 0 and seen[SLIP] > 0

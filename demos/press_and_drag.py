@@ -1,0 +1,123 @@
+"""A domed block of rubber is pressed onto a softer plate and dragged over it, at any number of unknowns.
+
+It illustrates contact in space on meshes that do not match, a march in stages, and problems for which the iterative solver
+is chosen (above 40 000 unknowns; the log and summary.json say which it was). The block's top is prescribed: first it goes
+down, then obliquely along,
+
+    Σ ∫ P(u) : ∇v dΩ − ∫ t·(v₁ − v₂∘η) dS₀ = 0,    u₁ = U(stage) on the top,    u₂ = 0 at the plate's bottom.
+
+The friction of the whole zone is the drag; once all points slip it is μ times the normal force, but for the zone's slope.
+
+    ./run python3 demos/press_and_drag.py
+    ./run python3 demos/press_and_drag.py --size 1e5 --paraview --checkpoint --verbose
+    ./run mpirun -n 2 python3 demos/press_and_drag.py --order 2 --tetrahedra
+"""
+
+import argparse
+import logging
+
+import numpy as np
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+from demos.demo_options import add_options
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, output, quasistatic
+
+PLATE, BLOCK = (2.0, 1.5, 0.8), (1.0, 1.0, 0.5)  # sizes (m)
+CORNER = (0.35, 0.25, 0.8)  # of the block, on the plate
+RADIUS = 1.0  # of the dome at its lowest point (m)
+COARSER = 0.7  # cells per metre in the plate over those in the block
+E_PLATE, E_BLOCK, NU = 100.0, 1000.0, 0.3  # moduli (Pa)
+DOWN, ALONG = 0.12, (0.2, 0.09)  # motion of the top (m)
+BOTTOM, TOP = 1, 2
+COLUMNS = ["stage", "normal_force", "drag", "closed", "stick", "contact_area", "newton_iterations", "wall_time"]
+
+
+def options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--size", type=float, default=5e3, help="displacement unknowns, about (%(default)g)")
+    add("--order", type=int, default=1, choices=(1, 2), help="of the displacement (%(default)s)")
+    add("--tetrahedra", action="store_true", help="instead of hexahedra")
+    add("--friction", type=float, default=0.3, help="Coulomb's μ (%(default)s)")
+    add("--increments", type=int, nargs=2, default=(2, 4), help="steps of pressing and of dragging (%(default)s)")
+    add("--verbose", action="store_true", help="show the log, such as which linear solver is chosen")
+    add_options(parser, "press_and_drag", figure=7)
+    return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
+
+
+def counts(size: tuple[float, ...], per_metre: float) -> list[int]:
+    """Cells along a box."""
+    return [max(1, round(length * per_metre)) for length in size]
+
+
+def cells_per_metre(size: float, order: int) -> int:
+    """Of the block, for a number of displacement unknowns nearest to `size`."""
+
+    def unknowns(n: int) -> int:
+        boxes = counts(BLOCK, n), counts(PLATE, COARSER * n)
+        return sum(3 * int(np.prod([order * k + 1 for k in box])) for box in boxes)
+
+    return min(range(2, 400), key=lambda n: abs(unknowns(n) - size))
+
+
+def box(corner: tuple[float, ...], size: tuple[float, ...], per_metre: float, tetrahedra: bool, dome: bool) -> tuple:
+    """A mesh and its tags BOTTOM and TOP; with `dome` the bottom is the paraboloid r²/(2 RADIUS)."""
+    kind = mesh.CellType.tetrahedron if tetrahedra else mesh.CellType.hexahedron
+    low, high = np.array(corner), np.add(corner, size)
+    domain = mesh.create_box(MPI.COMM_WORLD, [low, high], counts(size, per_metre), kind)
+    found = [mesh.locate_entities_boundary(domain, 2, lambda x, z=z: np.isclose(x[2], z)) for z in (low[2], high[2])]
+    order = np.argsort(np.concatenate(found))
+    tags = np.repeat([BOTTOM, TOP], [len(facets) for facets in found]).astype(np.int32)
+    if dome:
+        x = domain.geometry.x
+        r2 = np.sum((x[:, :2] - (low + high)[:2] / 2) ** 2, axis=1)
+        x[:, 2] += r2 / (2 * RADIUS) * (high[2] - x[:, 2]) / size[2]
+    return domain, mesh.meshtags(domain, 2, np.concatenate(found)[order], tags[order])
+
+
+def simulate(args: argparse.Namespace) -> output.History:
+    """Press, then drag."""
+    n = cells_per_metre(args.size, args.order)
+    block, block_tags = box(CORNER, BLOCK, n, args.tetrahedra, dome=True)
+    plate, plate_tags = box((0.0, 0.0, 0.0), PLATE, COARSER * n, args.tetrahedra, dome=False)
+    u = [fem.Function(fem.functionspace(domain, ("Lagrange", args.order, (3,)))) for domain in (block, plate)]
+    F = [materials.neo_hookean(E, NU).virtual_work(v) for E, v in zip((E_BLOCK, E_PLATE), u, strict=True)]
+    top, held = fem.Constant(block, np.zeros(3)), fem.Constant(plate, np.zeros(3))
+    bcs = [
+        fem.dirichletbc(value, fem.locate_dofs_topological(v.function_space, 2, tags.find(tag)), v.function_space)
+        for value, v, tags, tag in ((top, u[0], block_tags, TOP), (held, u[1], plate_tags, BOTTOM))
+    ]
+    contact = Contact(Surface(block, block_tags, BOTTOM), Surface(plate, plate_tags, TOP), friction=args.friction)
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    pair = problem.pairs[0]
+
+    run = output.Run(problem, args.output, COLUMNS, vars(args), args.paraview, checkpoint=args.checkpoint)
+    stages = [
+        quasistatic.Stage(top, (0.0, 0.0, -DOWN), args.increments[0]),
+        quasistatic.Stage(top, (*ALONG, -DOWN), args.increments[1]),
+    ]
+    march = quasistatic.march(problem, stages, start=run.start, progress=True) if run.start < len(stages) else ()
+    for step in march:
+        force = pair.force()
+        run.record(
+            step, step.path, stage=step.path, normal_force=force[2], drag=float(np.hypot(*force[:2])),
+            closed=pair.closed_fraction(), stick=pair.stick_fraction(), contact_area=pair.contact_area(),
+        )  # fmt: skip
+    if not args.no_figure:
+        try:
+            output.picture(problem, args.output / "figure7.png", "pressure", title="contact pressure")
+        except ModuleNotFoundError as missing:
+            if MPI.COMM_WORLD.rank == 0:
+                print(missing)
+    run.finish()
+    return run.history
+
+
+if __name__ == "__main__":
+    args = options()
+    logging.basicConfig(level=logging.INFO if args.verbose else logging.WARNING, format="%(message)s")
+    history = simulate(args)
+    if MPI.COMM_WORLD.rank == 0:
+        last = history.rows[-1]
+        print(f"normal force {last['normal_force']:.5g} N, drag {last['drag']:.5g} N; results in {args.output}")
