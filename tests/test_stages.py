@@ -226,7 +226,7 @@ def test_the_bar_is_closed_whatever_ends_the_march(ending):
 def test_a_users_scene(tmp_path):
     """Press, drag and lift in fewer than 40 lines; while it is dragged back and forth friction is within μ of the normal
     force, and in the end there is none."""
-    script = Path(__file__).with_name("press_and_drag.py")
+    script = Path(__file__).with_name("user_scene.py")
     assert len(script.read_text().splitlines()) < 40
     subprocess.run([sys.executable, "-m", "meshes.ironing", tmp_path / "ironing.msh"], check=True, cwd=CLONE)
     command = [sys.executable, script, tmp_path / "ironing.msh", tmp_path / "results"]
