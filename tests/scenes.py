@@ -160,6 +160,8 @@ def octant(comm=MPI.COMM_WORLD, size=0.5):
         skin = [
             t for d, t in gmsh.model.getBoundary([(3, ball)], oriented=False) if gmsh.model.getType(2, t) == "Sphere"
         ]
+        others = [(d, t) for d, t in gmsh.model.getEntities(2) if t not in skin]
+        gmsh.model.removeEntities([(3, ball), *others])  # DOLFINx from 0.10 on wants a group for each cell
         gmsh.model.addPhysicalGroup(2, skin, 1)
         gmsh.option.setNumber("Mesh.MeshSizeMax", size)
         gmsh.model.mesh.generate(2)

@@ -10,7 +10,8 @@ from typing import Any
 import basix
 import basix.ufl
 import numpy as np
-from dolfinx import cpp, mesh
+from dolfinx import mesh
+from dolfinx.graph import adjacencylist
 from dolfinx.io import distribute_entity_data
 from mpi4py import MPI
 from numpy.typing import NDArray
@@ -140,8 +141,7 @@ def _tags(domain: mesh.Mesh, dim: int, entities: Index, values: NDArray[np.int32
     local, local_values = distribute_entity_data(domain, dim, entities, values)
     domain.topology.create_connectivity(dim, 0)
     domain.topology.create_connectivity(dim, domain.topology.dim)
-    adjacency = cpp.graph.AdjacencyList_int32(local)
-    return mesh.meshtags_from_entities(domain, dim, adjacency, local_values.astype(np.int32, copy=False))
+    return mesh.meshtags_from_entities(domain, dim, adjacencylist(local), local_values.astype(np.int32, copy=False))
 
 
 def half_space(
