@@ -104,7 +104,7 @@ class Model:
         V = self.u.function_space
         W, parents = V.sub(axis).collapse()
         self._driven_component = fem.Function(W), axis
-        child = np.searchsorted(parents, blocks * self.scene.dim + axis).astype(np.int32)
+        child = np.searchsorted(np.ravel(parents), blocks * self.scene.dim + axis).astype(np.int32)
         return fem.dirichletbc(
             self._driven_component[0], [(blocks * self.scene.dim + axis).astype(np.int32), child], V.sub(axis)
         )

@@ -221,7 +221,7 @@ def bulbs(comm, half, friction, n=16):
     lines = np.stack([np.arange(cells), np.arange(1, cells + 1)], axis=1).astype(np.int64)
     mine = slice(None) if comm.rank == 0 else slice(0)
     curve = ufl.Mesh(element("Lagrange", "interval", 1, shape=(2,)))
-    domain = mesh.create_mesh(comm, lines[mine], x[mine], curve)
+    domain = mesh.create_mesh(comm, cells=lines[mine], x=x[mine], e=curve)
     count = domain.topology.index_map(1).size_local
     tags = mesh.meshtags(domain, 1, np.arange(count, dtype=np.int32), np.ones(count, dtype=np.int32))
     V = fem.functionspace(domain, ("Lagrange", 2, (2,)))
