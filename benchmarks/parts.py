@@ -57,7 +57,8 @@ HEAD = """# What a scene does not need
 Made by `./run python3 benchmarks/parts.py`, whose docstring says what "everything on" means; the numbers are those of
 [work_precision/parts.csv](work_precision/parts.csv). Seconds are of the processor, whole processes; "start" is importing and
 all before the mesh is there. A scene without friction has one multiplier per node and no slip history, one without segments
-no cut facets, one without a figure no matplotlib.
+no cut facets, one without a figure no matplotlib. The disc's two rows are one computation (a rigid plane has no segments, and
+there is friction anyway): they differ by the machine's noise.
 """
 
 
