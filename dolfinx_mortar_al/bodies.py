@@ -415,10 +415,6 @@ class Bodies:
         """(owned nodes, gdim) reference positions of this rank's nodes in the common numbering (m)."""
         return np.concatenate([b.space.tabulate_dof_coordinates()[: b.owned, : self.gdim] for b in self.bodies])
 
-    def reference_positions(self) -> Array:
-        """(all nodes, gdim) the same of all ranks, on every rank (m)."""
-        return np.concatenate(self.comm.allgather(self.owned_positions()))
-
     def springs(self, diagonals: Sequence[fem.Function]) -> PETSc.Vec | None:
         """Weak springs on the floating pieces, in shares of the diagonals (N/m) of the bodies' matrices; None if no piece
         floats (collective)."""

@@ -89,10 +89,10 @@ def march(
 ) -> Iterator[Step]:
     """Solve at growing loads and yield each converged step.
 
-    A step that fails is undone, slip history included, and tried again without a prediction, then at half the increment (a
-    quarter if Newton made no progress), which grows back after easy steps. The asked-for loads are always met: `increments`
-    equal parts of the way. A load begins where it stands, at the end of an earlier march or as a checkpoint has brought it
-    back; a function that no march has called yet, at 0.
+    A step that fails is undone, slip history included, and tried again at half the increment (a quarter if Newton made no
+    progress), which grows back after easy steps; where contact alone holds a body, first without a prediction. The asked-for
+    loads are always met: `increments` equal parts of the way. A load begins where it stands, at the end of an earlier march
+    or as a checkpoint has brought it back; a function that no march has called yet, at 0.
 
     Args:
         problem: to solve.
@@ -337,8 +337,9 @@ class _LoadControl(Controller[Step]):
         with leg.watch:
             leg.load.set(leg.value(self._x))
         attempt = _solve(self.problem, self.solver)
-        # a prediction may leave nothing sticking that holds a body; the last state has what held it (docs/newton.md)
-        self._from_last = not attempt.newton.converged and predicted and not self._tried_from_last
+        # a prediction may leave nothing closed or sticking that holds a body which only contact holds; the last state has it
+        again = predicted and not self._tried_from_last and bool(self.problem.floating)
+        self._from_last = again and not attempt.newton.converged
         if self._from_last:
             attempt.cut, self._tried_from_last = 1.0, True
         return attempt

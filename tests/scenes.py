@@ -6,7 +6,7 @@ from dolfinx import fem
 from dolfinx.mesh import compute_midpoints, locate_entities_boundary, meshtags
 from mpi4py import MPI
 
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials, membrane
+from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, loads, materials, membrane
 from meshes.gmsh_session import distribute
 from meshes.two_beams import CLAMP, LOWER_TOP, TIP, UPPER_BOTTOM, TwoBeams
 from meshes.two_membranes import EDGE, LOWER, UPPER, TwoMembranes
@@ -178,3 +178,20 @@ def octant(comm=MPI.COMM_WORLD, size=0.5):
         dofs = fem.locate_dofs_geometrical((V.sub(axis), W), lambda x, axis=axis: np.abs(x[axis]) < 1e-9)
         bcs.append(fem.dirichletbc(fem.Function(W), dofs, V.sub(axis)))
     return ContactProblem(F, u, bcs=bcs), p
+
+
+class FailingSolver(NewtonSolver):
+    """Says that some of its solves failed, after having moved everything."""
+
+    def __init__(self, problem, failures):
+        super().__init__(problem)
+        self.calls, self.failures = 0, failures
+
+    def solve(self, path=None):
+        self.calls += 1
+        result = super().solve(path)
+        if self.calls in self.failures:
+            for pair in self.problem.pairs:
+                pair.commit()  # a wrong slip history, which the rollback must undo
+            result.converged = False
+        return result

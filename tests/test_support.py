@@ -5,7 +5,7 @@ import pytest
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scenes import beams, blocks, contact_of, octant
+from scenes import FailingSolver, beams, blocks, contact_of, octant
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, obstacles, output, quasistatic
 from exact.balloon import Balloon
@@ -47,6 +47,21 @@ def test_friction_holds_a_pushed_block_and_none_does_not():
     problem, load = loose_block(tilt=0.2, friction=0.0)
     with pytest.raises(quasistatic.StepFailure, match=r"contact alone holds the body around X = \[0.5"):
         list(quasistatic.march(problem, load, to=LOAD, increments=1, smallest=0.5))
+
+
+@pytest.mark.parametrize(
+    "failures, shares",
+    [
+        ((3,), [(0.25, 0), (0.5, 0), (0.75, 1), (1.0, 0)]),
+        ((3, 4), [(0.25, 0), (0.5, 0), (0.625, 2), (0.75, 0), (1.0, 0)]),
+    ],
+)
+def test_a_loose_block_is_tried_from_its_last_state_before_an_increment_is_cut(failures, shares):
+    """What failed leaves no trace: where the block alone is held by friction, once or twice, the forces at the end agree."""
+    problem, load = loose_block(tilt=0.2)
+    steps = quasistatic.march(problem, load, to=LOAD, increments=4, solver=FailingSolver(problem, failures))
+    assert [(step.load / LOAD, step.rejected) for step in steps] == shares
+    assert problem.pairs[0].force() == pytest.approx([-0.1 * LOAD, 0.5 * LOAD], rel=1e-6)
 
 
 def test_what_conditions_or_inertia_hold_does_not_float():
