@@ -31,6 +31,7 @@ sys.path.append(str(ROOT))
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, membrane, multiplier, output, quasistatic
 from dolfinx_mortar_al.contact import SOFTER, ContactPair
 from dolfinx_mortar_al.integration import IntegrationPoints
+from dolfinx_mortar_al.versions import geometry_nodes
 from exact.two_membranes import MembraneState
 from exact.two_membranes import TwoMembranes as Exact
 from meshes.two_membranes import EDGE, LOWER, UPPER, TwoMembranes
@@ -51,7 +52,7 @@ def pieces(pair: ContactPair, extent: float) -> IntegrationPoints:
 def move_nodes(mesh: Any, tags: Any, edges: tuple[float, float]) -> None:
     """Vertices to the edges of contact of both membranes, all others in proportion; the midpoint stays one."""
     for tag, corner, sign in ((LOWER, 0.0, 1.0), (UPPER, SHIFT + 1.0, -1.0)):  # the upper one mirrors the lower one
-        vertices = np.unique(mesh.geometry.dofmap[tags.find(tag)])
+        vertices = np.unique(geometry_nodes(mesh)[tags.find(tag)])
         X, n = sign * (mesh.geometry.x[vertices, 0] - corner), len(vertices) - 1
         knots = dict(sorted({0: 0.0, n // 2: 0.5, n: 1.0, **{round(x * n): x for x in edges}}.items()))
         moved = np.interp(X, np.array(list(knots)) / n, list(knots.values()))

@@ -15,6 +15,7 @@ from robustness_scenes import CONTACT, HELD, LOADED, LOWER, UPPER, Scene, motion
 from scipy.spatial import cKDTree
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials, membrane
+from dolfinx_mortar_al.versions import geometry_nodes
 from meshes.two_membranes import EDGE
 
 __all__ = ["Model", "export"]
@@ -197,7 +198,7 @@ def export(scene: Scene, path: Path) -> None:
     d, arrays = scene.dim, {}
     domain.topology.create_connectivity(d - 1, d)
     for body in (LOWER, UPPER):
-        arrays[f"cells_{body}"] = domain.geometry.dofmap[cell_tags.find(body)]
+        arrays[f"cells_{body}"] = geometry_nodes(domain)[cell_tags.find(body)]
         for kind in (CONTACT, HELD):
             facets = mesh.entities_to_geometry(domain, d - 1, facet_tags.find(10 * body + kind))
             arrays[f"facets_{body}_{kind}"] = facets[:, :d]

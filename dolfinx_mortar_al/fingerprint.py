@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.obstacles import Obstacle
 from dolfinx_mortar_al.validation import constant_value
+from dolfinx_mortar_al.versions import geometry_nodes
 
 if TYPE_CHECKING:
     from dolfinx_mortar_al.bodies import Body
@@ -70,7 +71,7 @@ def _of_body(body: Body, steps: Sequence[Any]) -> Fingerprint:
     values = [v for c, v in zip(body.constants, body.constant_values, strict=True) if not any(c is s for s in steps)]
     return {
         "mesh": f"{domain.topology.cell_name()}s, {domain.topology.index_map(domain.topology.dim).size_global} of them",
-        "geometry": _hash([domain.geometry.x, domain.geometry.dofmap]),
+        "geometry": _hash([domain.geometry.x, geometry_nodes(domain)]),
         "space": f"{V.ufl_element()}",
         "numbering": _hash([V.dofmap.list, V.tabulate_dof_coordinates()]),
         "form": HASHED + body.signature[:16],

@@ -18,7 +18,7 @@ import ufl
 from dolfinx import fem, mesh
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.versions import geometry_degree
+from dolfinx_mortar_al.versions import geometry_degree, geometry_nodes
 
 __all__ = [
     "are_tags_of",
@@ -307,7 +307,7 @@ def check_cells(domain: mesh.Mesh) -> None:
     )
     points = np.vstack([basix.make_quadrature(domain.basix_cell(), 2 * geometry_degree(domain))[0]])
     table = element.tabulate(1, points)[1 : tdim + 1, :, :, 0]  # (tdim, points, nodes)
-    cells = geometry.dofmap[: domain.topology.index_map(tdim).size_local]
+    cells = geometry_nodes(domain)[: domain.topology.index_map(tdim).size_local]
     X = geometry.x[cells, : geometry.dim].astype(np.float64)  # (cells, nodes, gdim)
     J = np.einsum("tqn,cni->cqit", table, X)
     if tdim == geometry.dim:

@@ -17,7 +17,7 @@ try:
 except ImportError:  # 0.9
     from dolfinx.io import gmshio as _gmsh
 
-__all__ = ["geometry_degree", "model_to_mesh", "read_from_msh", "submesh", "whole_form"]
+__all__ = ["geometry_degree", "geometry_nodes", "model_to_mesh", "read_from_msh", "submesh", "whole_form"]
 
 
 def model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[mesh.Mesh, Any, Any]:
@@ -48,6 +48,12 @@ def geometry_degree(domain: mesh.Mesh) -> int:
     """Degree of the cells' map from their reference cell; `cmap` gave way to `cmaps` in 0.11."""
     geometry = domain.geometry
     return int((geometry.cmaps[0] if hasattr(geometry, "cmaps") else geometry.cmap).degree)
+
+
+def geometry_nodes(domain: mesh.Mesh) -> NDArray[np.int32]:
+    """(cells, nodes) the geometry's node that each node of a cell is; `dofmap` gave way to `dofmaps` in 0.11."""
+    geometry = domain.geometry
+    return np.asarray(geometry.dofmaps[0] if hasattr(geometry, "cmaps") else geometry.dofmap)
 
 
 def whole_form(F: Any, domain: mesh.Mesh) -> Any:

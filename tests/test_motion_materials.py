@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, membrane, obstacles
 from dolfinx_mortar_al.internal_work import CONSISTENT, WORK
+from dolfinx_mortar_al.versions import geometry_nodes
 
 E, NU, DENSITY = 1e5, 0.3, 1e3
 
@@ -92,11 +93,11 @@ def sheet(dim):
     if dim == 2:
         line = mesh.create_interval(MPI.COMM_SELF, 6, (0.0, 1.0))
         points = np.stack([line.geometry.x[:, 0], np.full(7, 0.5)], axis=1)
-        cells, element = line.geometry.dofmap, ("interval", 1)
+        cells, element = geometry_nodes(line), ("interval", 1)
     else:
         flat = mesh.create_unit_square(MPI.COMM_SELF, 3, 3, mesh.CellType.quadrilateral)
         points = np.stack([flat.geometry.x[:, 0], np.full(len(flat.geometry.x), 0.5), flat.geometry.x[:, 1]], axis=1)
-        cells, element = flat.geometry.dofmap, ("quadrilateral", 1)
+        cells, element = geometry_nodes(flat), ("quadrilateral", 1)
     element = basix.ufl.element("Lagrange", *element, shape=(dim,))
     domain = mesh.create_mesh(MPI.COMM_SELF, cells=cells, x=points, e=element)
     u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (dim,))))
