@@ -24,7 +24,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from demos.demo_options import add_options
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, obstacles, output, quasistatic
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, obstacles, output, quasistatic
 from meshes.round_bodies import Round, RoundBodies
 
 RADIUS, E, NU = 0.1, 1e6, 0.3  # m, Pa
@@ -57,7 +57,7 @@ def simulate(args: argparse.Namespace, directory: Path) -> tuple:
     plates = [obstacles.RigidPlane(point=side * RADIUS * up, normal=-side * up) for side in (1, -1)]
     contacts = [Contact(rim, plate, friction=args.friction) for plate in plates]
     contacts.append(Contact(bore, friction=args.friction))  # no target: the surface itself
-    problem = ContactProblem(materials.neo_hookean(E, NU).virtual_work(u), u, contacts=contacts)
+    problem = ContactProblem(Body(u, materials.neo_hookean(E, NU)), contacts=contacts)
     top, _, itself = problem.pairs
 
     def close(d: float) -> None:

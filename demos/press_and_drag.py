@@ -21,7 +21,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 from demos.demo_options import add_options
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, output, quasistatic
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, output, quasistatic
 
 PLATE, BLOCK = (2.0, 1.5, 0.8), (1.0, 1.0, 0.5)  # sizes (m)
 CORNER = (0.35, 0.25, 0.8)  # of the block, on the plate
@@ -82,14 +82,16 @@ def simulate(args: argparse.Namespace) -> output.History:
     block, block_tags = box(CORNER, BLOCK, n, args.tetrahedra, dome=True)
     plate, plate_tags = box((0.0, 0.0, 0.0), PLATE, COARSER * n, args.tetrahedra, dome=False)
     u = [fem.Function(fem.functionspace(domain, ("Lagrange", args.order, (3,)))) for domain in (block, plate)]
-    F = [materials.neo_hookean(E, NU).virtual_work(v) for E, v in zip((E_BLOCK, E_PLATE), u, strict=True)]
     top, held = fem.Constant(block, np.zeros(3)), fem.Constant(plate, np.zeros(3))
-    bcs = [
+    held_by = [
         fem.dirichletbc(value, fem.locate_dofs_topological(v.function_space, 2, tags.find(tag)), v.function_space)
         for value, v, tags, tag in ((top, u[0], block_tags, TOP), (held, u[1], plate_tags, BOTTOM))
     ]
+    bodies = [
+        Body(v, materials.neo_hookean(E, NU), bcs=[bc]) for v, E, bc in zip(u, (E_BLOCK, E_PLATE), held_by, strict=True)
+    ]
     contact = Contact(Surface(block, block_tags, BOTTOM), Surface(plate, plate_tags, TOP), friction=args.friction)
-    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    problem = ContactProblem(bodies, contacts=[contact])
     pair = problem.pairs[0]
 
     run = output.Run(problem, args.output, COLUMNS, vars(args), args.paraview, checkpoint=args.checkpoint)

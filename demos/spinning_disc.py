@@ -67,9 +67,9 @@ def simulate(args: argparse.Namespace, spin: str, directory: Path) -> tuple:
     motion = dynamics.Motion(u, law, density=DENSITY, step=args.step or Δt, thickness=THICKNESS)
     motion.velocity.interpolate(lambda X: np.stack([V - ω * (X[1] - height), -V + ω * X[0]]))
     rim, plane = Surface(mesh, tags, RIM), obstacles.RigidPlane([0, 0], [0, 1])
-    contact = Contact(rim, plane, friction=MU, thickness=THICKNESS, multiplier_order=args.order)  # the paper's orders
+    contact = Contact(rim, plane, friction=MU, multiplier_order=args.order)  # the paper's orders
     watch = [monitors.inversion(u), *([monitors.ellipticity(law, u)] if args.case == "printed" else [])]
-    problem = ContactProblem(motion.residual, u, contacts=[contact], monitors=watch)
+    problem = ContactProblem(motion, contacts=[contact], monitors=watch)
     ρ, x = DENSITY * THICKNESS, ufl.SpatialCoordinate(mesh) + motion.old
     m, moments = motion.integral(fem.form(ρ * motion.dx)), [fem.form(ρ * x[i] * motion.dx) for i in range(2)]
     said = vars(args) | {"spin": spin}

@@ -16,7 +16,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, output, quasistatic, reaction, read_msh
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, output, quasistatic, reaction, read_msh
 
 PLATE, FOOT, BASE, FACE, SOLE, HEAD = 1, 2, 11, 12, 13, 14  # physical groups: two volumes, four surfaces
 COLUMNS = ["path", "drag", "press", "closed", "stick", "newton_iterations", "wall_time"]  # of history.csv
@@ -65,24 +65,25 @@ def main(directory: Path, size: float) -> tuple[float, float]:
     comm.Barrier()
     mesh, cells, facets = read_msh(directory / "foot.msh")
 
-    # 2. Bodies. One displacement for both; a stored energy each, on the cells of its volume. Second order pays on curved
-    #    surfaces and where bodies bend; first order (change the 2 and leave out `setOrder`) is quicker.
+    # 2. Materials. One displacement for both bodies; a stored energy each, on the cells of its volume. Second order pays on
+    #    curved surfaces and where bodies bend; first order (change the 2 and leave out `setOrder`) is quicker.
     V = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     u = fem.Function(V)
     dx = ufl.Measure("dx", mesh, subdomain_data=cells)
-    F = materials.neo_hookean(E=2e6, nu=0.40).virtual_work(u, dx=dx(FOOT))  # rubber (Pa)
-    F += materials.saint_venant_kirchhoff(E=50e6, nu=0.3).virtual_work(u, dx=dx(PLATE))  # a soft plastic
+    rubber, plastic = materials.neo_hookean(E=2e6, nu=0.40), materials.saint_venant_kirchhoff(E=50e6, nu=0.3)  # Pa
 
     # 3. Supports. The plate rests on its base. The head of the foot is led by a Constant, which the load steps change.
-    #    To lead it by a force instead, leave this condition out and subtract `loads.dead_traction(u, ..., ds(HEAD))` from F.
+    #    To lead it by a force instead, leave this condition out and tell the Body `external=[(traction, ds(HEAD))]`, in Pa.
+    #    What the bodies are made of, loaded with and held by is said once, in a Body; a UFL residual of your own goes, too.
     led = fem.Constant(mesh, np.zeros(3))
     base = fem.dirichletbc(np.zeros(3), fem.locate_dofs_topological(V, 2, facets.find(BASE)), V)
     head = fem.dirichletbc(led, fem.locate_dofs_topological(V, 2, facets.find(HEAD)), V)
+    bodies = Body(u, [(rubber, dx(FOOT)), (plastic, dx(PLATE))], bcs=[base, head])
 
     # 4. Contact. The contactor carries the integration points and the multiplier: take the softer side, of equally stiff ones
     #    the finer, and name all of it that may ever touch. There is nothing to tune: ε comes from the bodies' stiffness.
     contact = Contact(Surface(mesh, facets, SOLE), Surface(mesh, facets, FACE), friction=0.4, name="sole")
-    problem = ContactProblem(F, u, bcs=[base, head], contacts=[contact])
+    problem = ContactProblem(bodies, contacts=[contact])
     sole = problem.pair("sole")
 
     # 5. Load steps. A march moves a load (a Constant, a Function or a function of yours) through stages, each in increments,

@@ -62,7 +62,7 @@ def simulate(args: argparse.Namespace, directory: Path) -> output.History:
     motion.velocity.interpolate(lambda x: start + 0 * x[: args.dim], cells0=cell_tags.find(BAR1))
     motion.velocity.x.scatter_forward()
     contact = Contact(Surface(mesh, facet_tags, FACE1), Surface(mesh, facet_tags, FACE2), multiplier_order=args.order)
-    problem = ContactProblem(motion.residual, u, contacts=[contact])
+    problem = ContactProblem(motion, contacts=[contact])
 
     # The faces coincide when they touch: each is asked for on its own bar.
     middle = [bars.height / 2] + [bars.width / 2] * (args.dim - 2)

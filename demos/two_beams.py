@@ -21,7 +21,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from demos.demo_options import add_options
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials, output, quasistatic
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, loads, materials, output, quasistatic
 from meshes.two_beams import CLAMP, LOWER_TOP, TIP, UPPER, UPPER_BOTTOM, TwoBeams
 
 COLUMNS = [
@@ -65,20 +65,22 @@ def simulate(args: argparse.Namespace, friction: float, directory: Path) -> tupl
     V = fem.functionspace(mesh, ("Lagrange", args.order, (args.dim,)))
     u = fem.Function(V)
 
-    # In two dimensions the thickness is a factor on every integral.
-    thickness = beams.width if args.dim == 2 else 1.0
+    # In two dimensions the thickness is a factor on every integral, those of contact, too.
     P = fem.Constant(mesh, 0.0)
     ds = ufl.Measure("ds", mesh, subdomain_data=facet_tags)
-    traction = P * thickness / (beams.height * beams.width)
-    F = materials.saint_venant_kirchhoff(E=2e6, nu=0.3).virtual_work(u, thickness=thickness)
-    F -= loads.follower_force(u, traction, ds(TIP))
+    traction = P / (beams.height * beams.width) * loads.axis_normal(u)  # Pa
     clamped = fem.locate_dofs_topological(V, args.dim - 1, facet_tags.find(CLAMP))
-    bcs = [fem.dirichletbc(np.zeros(args.dim), clamped, V)]
+    body = Body(
+        u,
+        materials.saint_venant_kirchhoff(E=2e6, nu=0.3),
+        thickness=beams.width if args.dim == 2 else 1.0,
+        external=[(traction, ds(TIP))],
+        bcs=[fem.dirichletbc(np.zeros(args.dim), clamped, V)],
+    )
 
     sides = [Surface(mesh, facet_tags, UPPER_BOTTOM), Surface(mesh, facet_tags, LOWER_TOP)]
     contactor, target = reversed(sides) if args.swap else sides
-    contact = Contact(contactor, target, friction=friction, thickness=thickness)
-    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    problem = ContactProblem(body, contacts=[Contact(contactor, target, friction=friction)])
     pair = problem.pairs[0]
 
     tip = [beams.length, beams.height / 2] + [beams.width / 2] * (args.dim - 2)

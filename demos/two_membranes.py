@@ -22,7 +22,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from demos.demo_options import add_options
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, membrane, monitors, output, quasistatic
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, loads, membrane, monitors, output, quasistatic
 from exact.two_membranes import TwoMembranes as Exact
 from meshes.two_membranes import EDGE, LOWER, UPPER, TwoMembranes
 
@@ -61,15 +61,14 @@ def simulate(args: argparse.Namespace, case: tuple[float, float, float], directo
     up, down = [0.0, 1.0, 0.0][: args.dim], [0.0, -1.0, 0.0][: args.dim]
     dx = ufl.Measure("dx", mesh, subdomain_data=cell_tags)
     sheet = membrane.neo_hookean_membrane(E=2e6, nu=0.3, thickness=1e-3)
-    F = sheet.virtual_work(u, dx=dx)
-    F -= loads.membrane_pressure(u, p, up, dx(LOWER)) + loads.membrane_pressure(u, p, down, dx(UPPER))
+    push = loads.membrane_pressure(u, p, up, dx(LOWER)) + loads.membrane_pressure(u, p, down, dx(UPPER))
     fixed = fem.locate_dofs_topological(V, args.dim - 2, edge_tags.find(EDGE))
-    bcs = [fem.dirichletbc(np.zeros(args.dim), fixed, V)]
+    body = Body(u, sheet, external=push, bcs=[fem.dirichletbc(np.zeros(args.dim), fixed, V)])
 
     sides = [Surface(mesh, cell_tags, UPPER, side=down), Surface(mesh, cell_tags, LOWER, side=up)]
     contactor, target = reversed(sides) if args.swap else sides
     contact = Contact(contactor, target, friction=friction, multiplier_order=args.order)  # the paper's equal orders
-    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], monitors=[monitors.wrinkling(sheet, u)])
+    problem = ContactProblem(body, contacts=[contact], monitors=[monitors.wrinkling(sheet, u)])
     pair = problem.pairs[0]
 
     least, *others = membrane.principal_stretches(u)

@@ -62,7 +62,7 @@ def simulate(args: argparse.Namespace, directory: Path) -> tuple:
     motion.velocity.interpolate(lambda X: np.outer([SPEED, 0], np.ones(X.shape[1])), cells0=bodies.find(rings.cells(0)))
     motion.velocity.x.scatter_forward()
     contact = Contact(Surface(mesh, facets, rings.rim(0)), Surface(mesh, facets, rings.rim(1)), friction=args.friction)
-    problem = ContactProblem(motion.residual, u, contacts=[contact])
+    problem = ContactProblem(motion, contacts=[contact])
 
     x, p = ufl.SpatialCoordinate(mesh) + motion.old, DENSITY * motion.velocity
     forms = []  # of each ring: kinetic and strain energy, angular momentum about the origin

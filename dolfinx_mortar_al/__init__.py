@@ -1,6 +1,7 @@
 """Frictional contact under large deformation for FEniCSx: the mixed augmented-Lagrangian form of Le van and Nguyen."""
 
 from dolfinx_mortar_al import dynamics, loads, materials, membrane, monitors, obstacles, output, quasistatic
+from dolfinx_mortar_al.body import Body
 from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.meshfile import read_msh
@@ -11,6 +12,7 @@ from dolfinx_mortar_al.reactions import reaction
 from dolfinx_mortar_al.surface import Surface
 
 __all__ = [
+    "Body",
     "Checkpoint",
     "Contact",
     "ContactPair",

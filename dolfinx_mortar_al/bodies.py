@@ -27,7 +27,7 @@ from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.validation import check_cells, check_residual, listed
 from dolfinx_mortar_al.versions import geometry_degree, whole_form
 
-__all__ = ["Bodies", "Body"]
+__all__ = ["Bodies", "BodyForms"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -37,7 +37,7 @@ _ADD = PETSc.InsertMode.ADD
 COLLAPSED = 1e-6  # area stretch below which a membrane counts as torn down to nothing
 
 
-class Body:
+class BodyForms:
     """A mesh with its displacement u, bulk residual F(u; v) and Jacobian, and its Dirichlet conditions."""
 
     def __init__(self, F: Any, u: fem.Function, bcs: Sequence[fem.DirichletBC], jacobian: Any) -> None:
@@ -136,7 +136,7 @@ class Body:
 
 
 class Bodies:
-    """Several :class:`Body` numbered as one, in blocks of gdim components.
+    """Several :class:`BodyForms` numbered as one, in blocks of gdim components.
 
     Args:
         residuals, displacements: one each per body.
@@ -173,7 +173,7 @@ class Bodies:
                     f"u: bodies on communicators of {self.comm.size} and {V.mesh.comm.size} ranks; make all meshes on one"
                 )
         forms = [None] * len(spaces) if jacobians is None else jacobians
-        self.bodies = [Body(*parts) for parts in zip(residuals, displacements, own, forms, strict=True)]
+        self.bodies = [BodyForms(*parts) for parts in zip(residuals, displacements, own, forms, strict=True)]
         for u in displacements:
             u.x.scatter_forward()
 

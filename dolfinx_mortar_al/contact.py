@@ -72,7 +72,8 @@ class Contact:
         quadrature_degree: of the Gauss points on each facet, at least twice the multiplier's order; default 4 × the
             displacement's order (on a curved membrane in the plane 6 × order + 1), more where the target's facets are
             finer. With segments of the points on each segment; default 2 × the displacement's order.
-        thickness: out of the plane (m), for two-dimensional bodies; the same as in the bulk's forms.
+        thickness: out of the plane (m), for two-dimensional bodies; the same as in the bulk's forms. Left out, that of the
+            :class:`~dolfinx_mortar_al.body.Body` of the surfaces, or 1 with residuals of one's own.
         name: for messages and files; default "contact", with a number where there are several.
 
     Raises:
@@ -89,7 +90,7 @@ class Contact:
     projection: str = "rays"
     integration: str = "gauss"
     quadrature_degree: int | None = None
-    thickness: float = 1.0
+    thickness: float | None = None
     name: str | None = None
 
     def __post_init__(self) -> None:
@@ -103,7 +104,7 @@ class Contact:
         must = "leave it out for the default, or pass"
         for label in ("epsilon_normal", "epsilon_tangential", "thickness"):
             value = constant_value(getattr(self, label))
-            if value is not None or label == "thickness":
+            if value is not None:
                 keep(label, number(label, value, above=0.0, must=must))
         if self.quadrature_degree is not None:
             keep("quadrature_degree", whole("quadrature_degree", self.quadrature_degree, least=0, most=30))
@@ -154,6 +155,8 @@ class ContactPair(PairResults):
 
     def __init__(self, contact: Contact, bodies: Bodies, stopwatch: Stopwatch, name: str = "contact") -> None:
         self.contact, self.name = contact, name
+        assert contact.thickness is not None  # the problem knows it
+        self.thickness = contact.thickness
         self.stopwatch = stopwatch
         self.comm, self.gdim = bodies.comm, bodies.gdim
         #: whether there is friction, or may be
@@ -216,11 +219,11 @@ class ContactPair(PairResults):
             )
         count = self.facets.size
         if degree is not None and not self._wants_segments:
-            return IntegrationPoints.gauss(self.facets, np.full(count, degree), contact.thickness)
+            return IntegrationPoints.gauss(self.facets, np.full(count, degree), self.thickness)
         degree = default_degree(self.facets, contact.contactor.is_membrane)
-        points = IntegrationPoints.gauss(self.facets, np.full(count, degree), contact.thickness)
+        points = IntegrationPoints.gauss(self.facets, np.full(count, degree), self.thickness)
         degrees = degrees_on(self.facets, degree, self._faced_extents(points))
-        return points if (degrees == degree).all() else IntegrationPoints.gauss(self.facets, degrees, contact.thickness)
+        return points if (degrees == degree).all() else IntegrationPoints.gauss(self.facets, degrees, self.thickness)
 
     def _faced_extents(self, points: IntegrationPoints) -> Array:
         """(nf,) extent (m) of the target's facets that each facet may face: of the finest that is closest to one of its
@@ -243,7 +246,7 @@ class ContactPair(PairResults):
         assert isinstance(self.target, DeformableTarget)
         degree = self.contact.quadrature_degree
         degree = segment_degree(self.facets, self.contact.multiplier_order) if degree is None else degree
-        return segments_of(self.facets, self.target.surface, degree, self.contact.thickness)
+        return segments_of(self.facets, self.target.surface, degree, self.thickness)
 
     def _check_apart(self, contactor: GatheredFacets) -> None:
         """Contactor and target share no node: the gap would vanish there whatever happens.
@@ -301,7 +304,7 @@ class ContactPair(PairResults):
         own = self._at_nodes(mine).mean(axis=(1, 2)) / self.integration.sum_by_facet(self.j)
         count = self.comm.allreduce(self.facets.size)
         contactor = self.comm.allreduce(float(own.sum())) / count
-        target = self.target.stiffness(diagonals, self.contact.thickness)
+        target = self.target.stiffness(diagonals, self.thickness)
         for side, stiffness in (
             (f"contactor (tag {self.contact.contactor.tag})", contactor),
             (f"target ({self.contact.target_name})", target),
@@ -617,7 +620,7 @@ class ContactPair(PairResults):
             if isinstance(self.kinematics, StepLevel):  # not by the number of points: some ranks have none
                 facet, η = saved["points_facet"].astype(np.int64), saved["points_η"].copy()
                 weight = saved["points_weight"].copy()
-                self._adopt(IntegrationPoints(self.facets, facet, η, weight, self.contact.thickness))
+                self._adopt(IntegrationPoints(self.facets, facet, η, weight, self.thickness))
                 λN_hat = saved["points_λN_hat"]
                 self.kinematics.offset = saved["points_offset"].copy()
             else:

@@ -92,7 +92,7 @@ def march(
     points that have passed through a target. Multipliers are warm-started with those of the last step.
 
     Args:
-        problem: made with the motions' residuals.
+        problem: made of the motions, or with their residuals.
         motions: one per displacement of the problem.
         to, start: final and initial time (s).
         move: sets all that depends on time: poses of obstacles, Dirichlet values.

@@ -19,7 +19,7 @@ from dolfinx_mortar_al.validation import constant_value
 from dolfinx_mortar_al.versions import geometry_nodes
 
 if TYPE_CHECKING:
-    from dolfinx_mortar_al.bodies import Body
+    from dolfinx_mortar_al.bodies import BodyForms
     from dolfinx_mortar_al.contact import ContactPair
     from dolfinx_mortar_al.motion import Motion
     from dolfinx_mortar_al.problem import ContactProblem
@@ -66,7 +66,7 @@ def _in_words(label: str, then: str | None, now: str | None) -> str:
     return f"{label}: {then} then, {now} now"
 
 
-def _of_body(body: Body, steps: Sequence[Any]) -> Fingerprint:
+def _of_body(body: BodyForms, steps: Sequence[Any]) -> Fingerprint:
     V, domain = body.space, body.mesh
     values = [v for c, v in zip(body.constants, body.constant_values, strict=True) if not any(c is s for s in steps)]
     return {

@@ -1,6 +1,8 @@
-"""External virtual work as UFL: subtract it from the internal virtual work to get the residual.
+"""External virtual work as UFL: ``external`` of a :class:`~dolfinx_mortar_al.body.Body`, or subtracted from the internal
+virtual work to get a residual of one's own.
 
-Tractions are nominal: force per reference area (Pa), or per reference length times thickness in two dimensions.
+Tractions are nominal: force per reference area (Pa), or per reference length times thickness in two dimensions. A Body puts
+in its thickness where it is given a vector and a measure in place of a form: `axis_normal` or `area_normal` times a number.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from ufl.core.expr import Expr
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_vector
 
-__all__ = ["axis_normal", "dead_traction", "follower_force", "membrane_pressure", "pressure"]
+__all__ = ["area_normal", "axis_normal", "dead_traction", "follower_force", "membrane_pressure", "pressure"]
 
 
 def dead_traction(u: fem.Function, traction: Expr, ds: ufl.Measure) -> Any:
@@ -37,10 +39,15 @@ def follower_force(u: fem.Function, traction: Expr, ds: ufl.Measure) -> Any:
     return traction * ufl.inner(axis_normal(u), ufl.TestFunction(u.function_space)) * ds
 
 
+def area_normal(u: fem.Function) -> Expr:
+    """det 𝐅 𝐅⁻ᵀ𝐍 = 𝐧 da/dA on facets (Nanson): outward normal of the deformed body times the ratio of areas."""
+    F = deformation_gradient(u)
+    return ufl.det(F) * ufl.inv(F).T * ufl.FacetNormal(u.function_space.mesh)
+
+
 def pressure(u: fem.Function, p: Expr, ds: ufl.Measure) -> Any:
     """−∫ p 𝐧·v da = −∫ p det 𝐅 𝐅⁻ᵀ𝐍·v dS₀: a follower pressure p (Pa × thickness) on facets, against their outward side."""
-    F, N = deformation_gradient(u), ufl.FacetNormal(u.function_space.mesh)
-    return -p * ufl.det(F) * ufl.inner(ufl.inv(F).T * N, ufl.TestFunction(u.function_space)) * ds
+    return -p * ufl.inner(area_normal(u), ufl.TestFunction(u.function_space)) * ds
 
 
 def membrane_pressure(u: fem.Function, p: Expr, side: Any, dx: ufl.Measure) -> Any:

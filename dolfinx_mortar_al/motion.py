@@ -11,9 +11,10 @@ import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.internal_work import InternalWork, Material, internal_work
+from dolfinx_mortar_al.body import Body, Material
+from dolfinx_mortar_al.internal_work import internal_work
 from dolfinx_mortar_al.materials import cell_measure
-from dolfinx_mortar_al.validation import check_external, check_residual, number, positive_or_ufl
+from dolfinx_mortar_al.validation import check_dead, number
 from dolfinx_mortar_al.versions import whole_form
 
 __all__ = ["Motion"]
@@ -22,129 +23,77 @@ Array = NDArray[np.float64]
 
 
 class Motion:
-    """A body in motion: its mass, velocity and the mid-step residual to hand to a ContactProblem.
+    """A body in motion: its mass, velocity and the mid-step residual, for a ContactProblem.
 
     Args:
-        u: displacement (m), at the start state.
-        material: what its internal forces come from, on all cells: a law with a stored energy, of a body or a membrane, or a
-            UFL form of an internal virtual work G(u; w); or a list of (law or form, measure of its cells).
-        density: ρ per reference volume (kg/m³); a list, if each part of a list of materials has its own.
+        u: the :class:`~dolfinx_mortar_al.body.Body`, which says all but the scheme; or its displacement (m), at the start
+            state, with what follows in the words of a Body.
+        material, density, thickness, external: as of a Body; loads must be dead.
         step: Δt (s), the longest that will be used.
         theta: θ of the scheme, 1/2 ≤ θ ≤ 1; anything but 1/2 dissipates.
         force: "consistent", whose energy balance is exact (with θ = 1/2), or "trapezoidal", θ-weighted end forces, which a
             form has in any case.
-        thickness: out of the plane (m), that of the contacts, too; a form has it written into it and needs it here for the
-            mass, a membrane has its own.
-        external: external virtual work of dead loads, a UFL form linear in the test function.
 
     Attributes:
-        residual: UFL form for :class:`~dolfinx_mortar_al.problem.ContactProblem`.
+        body: the Body.
+        residual: UFL form of the step, which :class:`~dolfinx_mortar_al.problem.ContactProblem` takes from the motion.
         velocity: 𝐯_n (m/s), a Function to interpolate the initial velocity into.
         known: how the ledger knows the strain energy, in words.
 
     Raises:
-        ValueError: on every rank: a density, step, θ or force out of range, a material for other cells, or parts that leave
-            cells out or have some in common.
+        ValueError: on every rank: a step, θ or force out of range, no density, a load that depends on u, what a Body refuses,
+            or what a Body says said again.
     """
 
     def __init__(
         self,
-        u: fem.Function,
-        material: Material | Sequence[tuple[Material, ufl.Measure]],
+        u: fem.Function | Body,
+        material: Material | Sequence[tuple[Material, ufl.Measure]] | None = None,
         *,
-        density: Any,
+        density: Any = None,
         step: float,
         theta: float = 0.5,
         force: str = "consistent",
-        thickness: float = 1.0,
+        thickness: Any = None,
         external: Any = None,
     ) -> None:
-        thickness = positive_or_ufl("thickness", thickness)
+        self.body = body = _body_of(u, material=material, density=density, thickness=thickness, external=external)
         step = number("step", step, above=0.0, must="Δt (s) must be")
-        theta = number("theta", theta, least=0.5, most=1.0, must="θ must be")
-        check_external(external, u)
+        self.theta = theta = number("theta", theta, least=0.5, most=1.0, must="θ must be")
         if not isinstance(force, str) or force not in ("consistent", "trapezoidal"):
             raise ValueError(f'force = "{force}": "consistent" or "trapezoidal"')
-        V = u.function_space
-        self.u, self.density, self.thickness, self.theta = u, density, thickness, theta
-        self.external = external
-        self.old, self.velocity = u.copy(), fem.Function(V, name="velocity")
-        self.time_step = fem.Constant(V.mesh, float(step))
-        self.parts = self._parts_of(material, force == "consistent")
-        self.known = "; ".join(dict.fromkeys(part.known for part in self.parts))
+        check_dead(body.external, body.u)
+        if any(part.density is None for part in body.parts):
+            raise ValueError("density = None: a body in motion has a mass; pass ρ (kg/m³)")
+        self.u, self.dx, self.bcs, self.external = body.u, body.dx, body.bcs, body.external
+        self.density, self.thickness, self.width = body.density, body.thickness, body.width
+        V = self.u.function_space
+        self.old, self.velocity = self.u.copy(), fem.Function(V, name="velocity")
+        self.time_step = fem.Constant(V.mesh, step)
+        self.works = [
+            internal_work(part, self.u, self.old, theta=theta, consistent=force == "consistent") for part in body.parts
+        ]
+        self.known = "; ".join(dict.fromkeys(work.known for work in self.works))
         w = ufl.TestFunction(V)
         rate = (self.new_velocity() - self.velocity) / self.time_step
-        self.residual = self._per_mass(ufl.inner(rate, w)) + sum(part.form for part in self.parts)
-        if external is not None:
-            self.residual -= external
-        if isinstance(material, list | tuple):
-            check_residual(self.residual, u, "material")
-            self._check_cover()
-        work = None if external is None else ufl.replace(external, {w: u - self.old})
-        self._work = None if work is None else self._compiled(work)
-        self._internal = [self._compiled(part.work) for part in self.parts if part.work is not None]
+        self.residual = self._per_mass(ufl.inner(rate, w)) + sum(work.form for work in self.works)
+        if self.external is not None:
+            self.residual -= self.external
+        loads = None if self.external is None else ufl.replace(self.external, {w: self.u - self.old})
+        self._external_work = None if loads is None else self._compiled(loads)
+        self._internal = [self._compiled(work.work) for work in self.works if work.work is not None]
         self._done = 0.0  # by internal forces without a stored energy, since the start (J)
         self._energies = self.energy_forms()
         self._momenta = self._momentum_forms()
 
-    def _parts_of(
-        self, material: Material | Sequence[tuple[Material, ufl.Measure]], consistent: bool
-    ) -> list[InternalWork]:
-        """The parts and their densities."""
-        several = isinstance(material, list | tuple)
-        listed: Any = material if several else [(material, None)]
-        if not listed:
-            raise ValueError("material = []: no part has a law or form")
-        parts = []
-        for k, item in enumerate(listed):
-            if several and not (isinstance(item, tuple) and len(item) == 2 and isinstance(item[1], ufl.Measure)):
-                raise ValueError(f"material[{k}]: {item!r} is no (law or form, measure)")
-            parts.append(
-                internal_work(
-                    self.u,
-                    self.old,
-                    item[0],
-                    item[1],
-                    theta=self.theta,
-                    consistent=consistent,
-                    thickness=self.thickness,
-                    name=f"material[{k}]" if several else "material",
-                )
-            )
-        densities = list(self.density) if isinstance(self.density, list | tuple) else [self.density] * len(parts)
-        if len(densities) != len(parts):
-            raise ValueError(f"density: {len(densities)} of them for {len(parts)} materials; pass one, or one each")
-        self.densities = [positive_or_ufl("density", ρ) for ρ in densities]
-        if not isinstance(self.density, list | tuple):
-            self.density = self.densities[0]
-        self.dx = cell_measure(self.u)
-        return parts
-
-    def _check_cover(self) -> None:
-        """Every cell must belong to one part: one without mass would have no velocity, one of two parts both masses."""
-        count = fem.Function(fem.functionspace(self.u.function_space.mesh, ("DG", 0)))
-        one = ufl.TestFunction(count.function_space)
-        share = fem.assemble_vector(self._compiled(sum(one * part.dx for part in self.parts))).array
-        whole = fem.assemble_vector(self._compiled(one * self.dx)).array
-        cells = self.u.function_space.mesh.topology.index_map(self.u.function_space.mesh.topology.dim).size_local
-        times = np.round(share[:cells] / whole[:cells]).astype(int)
-        comm = self.u.function_space.mesh.comm
-        none, twice = comm.allreduce(np.array([np.sum(times == 0), np.sum(times > 1)]))
-        if none or twice:
-            raise ValueError(
-                f"material: {none} cells belong to no part and {twice} to several; give each cell to one of the measures"
-            )
-
     def _per_mass(self, quantity: Any) -> Any:
         """∫ ρ h quantity over all parts, as a form."""
-        parts = zip(self.parts, self.densities, strict=True)
-        return sum(part.depth * ρ * quantity * part.dx for part, ρ in parts)
+        return sum(part.depth * part.density * quantity * part.dx for part in self.body.parts)
 
     @property
-    def width(self) -> Any:
-        """Out of the plane (m), as contact counts it: a membrane's own thickness is not that."""
-        membrane = self.u.function_space.mesh.topology.dim < len(self.u)
-        return 1.0 if membrane else self.thickness
+    def densities(self) -> list[Any]:
+        """ρ of each part (kg/m³)."""
+        return [part.density for part in self.body.parts]
 
     @property
     def has_forms(self) -> bool:
@@ -162,15 +111,15 @@ class Motion:
         Raises:
             ValueError: on cells that are those of none of several parts.
         """
-        pairs = list(zip(self.parts, self.densities, strict=True))
+        pairs = list(zip(self.body.parts, self.works, strict=True))
         if dx is not None:
             dx = cell_measure(self.u, dx)
-            pairs = [(part, ρ) for part, ρ in pairs if len(pairs) == 1 or part.dx == dx]
+            pairs = [(part, work) for part, work in pairs if len(pairs) == 1 or part.dx == dx]
             if not pairs:
-                raise ValueError(f"dx = {dx}: not the measure of one of the {len(self.parts)} materials")
+                raise ValueError(f"dx = {dx}: not the measure of one of the {len(self.body.parts)} materials")
         v, zero = self.velocity, fem.Constant(self.u.function_space.mesh, 0.0)
-        kinetic = sum(part.depth * ρ / 2 * ufl.inner(v, v) * (dx or part.dx) for part, ρ in pairs)
-        strain = sum((zero if part.energy is None else part.energy) * (dx or part.dx) for part, _ in pairs)
+        kinetic = sum(part.depth * part.density / 2 * ufl.inner(v, v) * (dx or part.dx) for part, _ in pairs)
+        strain = sum((zero if work.energy is None else work.energy) * (dx or part.dx) for part, work in pairs)
         return self._compiled(kinetic), self._compiled(strain)
 
     def _momentum_forms(self) -> list[Any]:
@@ -214,7 +163,7 @@ class Motion:
 
     def external_work(self) -> float:
         """Work of the dead loads in the present step (J), collective."""
-        return 0.0 if self._work is None else self.integral(self._work)
+        return 0.0 if self._external_work is None else self.integral(self._external_work)
 
     def predict(self) -> None:
         """𝐮 ← 𝐮_n + Δt 𝐯_n/2, where the step's contact geometry is taken first."""
@@ -244,3 +193,13 @@ class Motion:
         """Back to a snapshot."""
         self.old.x.array[:], self.velocity.x.array[:] = saved["old"], saved["velocity"]
         self._done = float(saved["work"][0])
+
+
+def _body_of(u: fem.Function | Body, **said: Any) -> Body:
+    """The Body, or one of what is said of it."""
+    given = {name: value for name, value in said.items() if value is not None}
+    if not isinstance(u, Body):
+        return Body(u, given.pop("material", None), **given)
+    if given:
+        raise ValueError(f"{next(iter(given))}: the Body says it; leave it out here")
+    return u

@@ -8,7 +8,7 @@ from dolfinx.fem import petsc as dolfinx_petsc
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from dolfinx_mortar_al.bodies import Bodies, Body
+from dolfinx_mortar_al.bodies import Bodies, BodyForms
 from dolfinx_mortar_al.petsc_blocks import Layout
 
 __all__ = ["FirstOrder"]
@@ -54,7 +54,7 @@ class FirstOrder:
         rank = np.searchsorted(self._own_start[:, k], blocks, side="right") - 1
         return np.asarray(blocks - self._own_start[rank, k] + self._start[rank, k])
 
-    def _of(self, body: Body, k: int) -> tuple[Index, Index, Index, Array]:
+    def _of(self, body: BodyForms, k: int) -> tuple[Index, Index, Index, Array]:
         """Interpolation to one body in compressed rows: starts, the columns' global nodes and components, weights."""
         fine, coarse, d = body.prescribed(), self._coarse[k], self._bodies.gdim
         coarse.interpolate(fine)

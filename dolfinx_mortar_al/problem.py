@@ -9,6 +9,7 @@ of ranks that share no ghost: element blocks are inserted with global indices an
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,15 +20,17 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.body import Body
 from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.load import Loads
 from dolfinx_mortar_al.monitors import Finding, Monitor
+from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector, matrix_with_pattern
 from dolfinx_mortar_al.pieces import Piece
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.surface import check_surfaces
-from dolfinx_mortar_al.validation import check_names, listed
+from dolfinx_mortar_al.validation import check_names, joint_thickness, listed
 
 __all__ = ["ContactProblem", "Snapshot"]
 
@@ -53,27 +56,30 @@ class Member(Protocol):
 
 
 class ContactProblem:
-    """Bulk residual F(u; v) = 0 with contact pairs.
+    """Bodies with contact pairs: ``ContactProblem(body, contacts=…)`` with a :class:`~dolfinx_mortar_al.body.Body`, in motion
+    with a :class:`~dolfinx_mortar_al.motion.Motion`, or several; or ``ContactProblem(F, u, bcs=…, contacts=…)`` with any
+    residuals F(u; v) = 0.
 
     Args:
-        F: UFL residual, internal minus external virtual work, linear in the test function; or one per displacement.
-        u: displacement (m), Lagrange of order 1 or 2 with gdim components; holds the start state. Bodies on different
-            meshes, such as a membrane and a bulk body, have a displacement each.
-        bcs: Dirichlet conditions on u.
-        contacts: the pairs.
+        F: the bodies or motions; or a UFL residual, internal minus external virtual work, linear in the test function, or one
+            per displacement.
+        u: with residuals their displacement (m), Lagrange of order 1 or 2 with gdim components; holds the start state. Bodies
+            on different meshes, such as a membrane and a bulk body, have a displacement each.
+        bcs: Dirichlet conditions on u, besides those of the bodies.
+        contacts: the pairs. Those that do not say their thickness have that of the bodies.
         monitors: looked at in every converged state, such as :func:`~dolfinx_mortar_al.monitors.wrinkling`.
         jacobian: UFL bilinear form (or one per displacement), default the derivative of F in the direction of u.
 
     Raises:
         ValueError: on every rank: an unsuitable displacement (:class:`~dolfinx_mortar_al.bodies.Bodies`) or surface
-            (:class:`~dolfinx_mortar_al.contact.Contact`), pairs that are there twice or of one name, a start state with
-            det F ≤ 0 or a contactor wholly behind its target.
+            (:class:`~dolfinx_mortar_al.contact.Contact`), a contact between bodies of different thickness, pairs that are
+            there twice or of one name, a start state with det F ≤ 0 or a contactor wholly behind its target.
     """
 
     def __init__(
         self,
         F: Any,
-        u: fem.Function | Sequence[fem.Function],
+        u: fem.Function | Sequence[fem.Function] | None = None,
         *,
         bcs: Sequence[fem.DirichletBC] = (),
         contacts: Sequence[Contact] = (),
@@ -82,6 +88,12 @@ class ContactProblem:
     ) -> None:
         self.stopwatch = Stopwatch()
         contacts = listed("contacts", contacts, Contact, "a Contact")
+        said = _bodies_in(F, u)
+        if said:
+            bcs = _joined([body.bcs for body in said], bcs)
+            F, u = [body.residual for body in said], [body.u for body in said]
+            u = u if len(u) > 1 else u[0]
+        assert u is not None
         self.u, self.monitors = u, listed("monitors", monitors, Monitor, "a Monitor")
         with self.stopwatch("forms"):
             residuals = list(F) if isinstance(F, list | tuple) else [F]
@@ -94,6 +106,10 @@ class ContactProblem:
             )
         with self.stopwatch("contact set-up"):
             names = check_names([contact.name for contact in contacts])
+            contacts = [
+                replace(contact, thickness=joint_thickness(contact, name, said))
+                for contact, name in zip(contacts, names, strict=True)
+            ]
             check_surfaces(contacts)
             self.pairs = [
                 ContactPair(contact, self.bodies, self.stopwatch, name)
@@ -471,6 +487,32 @@ class ContactProblem:
         """Global number of unknowns per block."""
         counts = {"u": self.bodies.layout.sizes[1]}
         return counts | {f"multiplier of {pair.name}": pair.multiplier.size for pair in self.pairs}
+
+
+def _bodies_in(F: Any, u: Any) -> list[Body | Motion]:
+    """The bodies that a problem is made of, none if it is made of residuals."""
+    items = list(F) if isinstance(F, list | tuple) else [F]
+    found = [item for item in items if isinstance(item, Body | Motion)]
+    if not found and u is None:
+        raise ValueError(
+            "u = None: pass the displacement of a residual, ContactProblem(F, u), or a Body in place of both"
+        )
+    if not found:
+        return []
+    for k, item in enumerate(items):
+        if not isinstance(item, Body | Motion):
+            raise ValueError(f"F[{k}]: {type(item).__name__} beside a Body; make a form one, too: Body(u, form)")
+        if any(item.u is other.u for other in items[:k]):
+            raise ValueError(f"F[{k}]: a Body of the same displacement is there before; say all of it in one")
+    if u is not None:
+        raise ValueError("u: a Body says it; leave it out")
+    return found
+
+
+def _joined(own: Sequence[Sequence[fem.DirichletBC]], more: Any) -> list[fem.DirichletBC]:
+    """Conditions of the bodies and the problem's, each once."""
+    all_of_them = [bc for bcs in own for bc in bcs] + listed("bcs", more, fem.DirichletBC, "a Dirichlet condition")
+    return list({id(bc): bc for bc in all_of_them}.values())
 
 
 _ADD = PETSc.InsertMode.ADD

@@ -10,7 +10,7 @@ from dolfinx import fem
 from dolfinx.la import InsertMode
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.bodies import Body
+from dolfinx_mortar_al.bodies import BodyForms
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.surface import Facets, Surface
 from dolfinx_mortar_al.validation import vector
@@ -62,7 +62,7 @@ def reaction(
     return Reaction(total[:d], total[d:])
 
 
-def _of_condition(problem: ContactProblem, bc: fem.DirichletBC) -> tuple[Body, Array]:
+def _of_condition(problem: ContactProblem, bc: fem.DirichletBC) -> tuple[BodyForms, Array]:
     """The body of a condition, and (owned dofs,) 1 at what it prescribes."""
     for body in problem.bodies.bodies:
         if any(bc is own for own in body.bcs):
@@ -73,7 +73,7 @@ def _of_condition(problem: ContactProblem, bc: fem.DirichletBC) -> tuple[Body, A
     raise ValueError("at: the Dirichlet condition is none of the problem's bcs; pass one of these")
 
 
-def _of_surface(problem: ContactProblem, surface: Surface) -> tuple[Body, Array]:
+def _of_surface(problem: ContactProblem, surface: Surface) -> tuple[BodyForms, Array]:
     """The body of a surface, and (owned dofs,) 1 at what is prescribed on it."""
     body = problem.bodies.bodies[problem.bodies.index(surface.mesh)]
     facets, d = Facets.of(surface, body.space), problem.gdim

@@ -24,14 +24,17 @@ __all__ = [
     "are_tags_of",
     "check_callable",
     "check_cells",
+    "check_dead",
     "check_external",
     "check_kinetic",
     "check_law",
+    "check_measures",
     "check_motions",
     "check_names",
     "check_residual",
     "check_thickness",
     "constant_value",
+    "joint_thickness",
     "listed",
     "number",
     "positive_or_ufl",
@@ -185,19 +188,28 @@ def check_residual(F: Any, u: fem.Function, name: str = "F") -> None:
         raise ValueError(
             f"{name}: its test function is of another space than u: use ufl.TestFunction(u.function_space)"
         )
+    check_measures(F, name)
+    if u not in F.coefficients():
+        raise ValueError(f"{name} does not depend on u: is it written with another Function?")
+    _check_linear(name, F)
+
+
+def check_measures(F: ufl.Form, name: str) -> None:
+    """Integrals of one kind must be over measures of the same tags.
+
+    Raises:
+        ValueError: if they are not.
+    """
     for kind, data in next(iter(F.subdomain_data().values()), {}).items():
         if any(other is not data[0] for other in data):
             raise ValueError(
                 f"{name}: its {kind} integrals have different subdomain_data: write all with measures of the same tags (pass "
                 "dx= to virtual_work and loads)"
             )
-    if u not in F.coefficients():
-        raise ValueError(f"{name} does not depend on u: is it written with another Function?")
-    _check_linear(name, F)
 
 
 def check_external(external: Any, u: fem.Function) -> None:
-    """The virtual work of dead loads: a UFL form, linear in the test function of u's space, that does not depend on u.
+    """The virtual work of loads, if any: a UFL form, linear in the test function of u's space.
 
     Raises:
         ValueError: if it is something else.
@@ -205,16 +217,27 @@ def check_external(external: Any, u: fem.Function) -> None:
     if external is None:
         return
     if not isinstance(external, ufl.Form):
-        raise ValueError(f"external: {type(external).__name__} is not a UFL form; pass a virtual work such as ρ g·w dx")
+        raise ValueError(
+            f"external: {type(external).__name__} is not a UFL form; pass a virtual work such as ρ g·w dx, a (force, "
+            "measure), or a list of them"
+        )
     arguments = external.arguments()
     if len(arguments) != 1 or arguments[0].ufl_function_space() != u.function_space:
         raise ValueError("external: must be linear in the test function of u's space")
-    if u in external.coefficients():
+    _check_linear("external", external)
+
+
+def check_dead(external: Any, u: fem.Function) -> None:
+    """Loads in motion do not depend on u.
+
+    Raises:
+        ValueError: if they do.
+    """
+    if external is not None and u in external.coefficients():
         raise ValueError(
             "external depends on u: only dead loads have a work that the ledger can keep; what depends on u belongs into the "
             "material or into F"
         )
-    _check_linear("external", external)
 
 
 def _check_linear(name: str, form: ufl.Form) -> None:
@@ -251,14 +274,44 @@ def check_thickness(motions: Sequence[Any], pairs: Sequence[Any]) -> None:
     Raises:
         ValueError: where they differ.
     """
-    for pair, (k, motion) in itertools.product(pairs, enumerate(motions)):
-        own, width = pair.contact.thickness, constant_value(motion.width)
-        surfaces = [surface for surface in (pair.contact.contactor, pair.contact.target) if hasattr(surface, "mesh")]
-        touches = any(surface.mesh is motion.u.function_space.mesh for surface in surfaces)
-        if touches and not isinstance(width, ufl.core.expr.Expr) and not math.isclose(own, width, rel_tol=1e-9):
+    for pair in pairs:
+        for k, width in _widths(pair.contact, motions).items():
+            own = pair.contact.thickness
+            if not isinstance(width, ufl.core.expr.Expr) and not math.isclose(own, width, rel_tol=1e-9):
+                raise ValueError(
+                    f"thickness = {width:g} of motions[{k}], but {own:g} of the contact {pair.name!r}: pass the body's to "
+                    "both, or make the problem from the motion"
+                )
+
+
+def joint_thickness(contact: Any, name: str, bodies: Sequence[Any]) -> float:
+    """Thickness out of the plane (m) of a contact: its own, or that of the bodies it joins, or 1 where neither is said.
+
+    Raises:
+        ValueError: where they differ, or where nothing but UFL says it.
+    """
+    said = {} if contact.thickness is None else {f"the contact {name!r}": contact.thickness}
+    widths = {f"the body of u[{k}]": width for k, width in _widths(contact, bodies).items()}
+    said |= {whose: width for whose, width in widths.items() if not isinstance(width, ufl.core.expr.Expr)}
+    if widths and not said:
+        raise ValueError(f"thickness of {next(iter(widths))} is UFL: pass that of the contact {name!r} as a number")
+    first, thickness = next(iter(said.items()), ("", 1.0))
+    for whose, width in said.items():
+        if not math.isclose(thickness, width, rel_tol=1e-9):
             raise ValueError(
-                f"thickness = {width:g} of motions[{k}], but {own:g} of the contact {pair.name!r}: pass the body's to both"
+                f"thickness = {width:g} of {whose}, but {thickness:g} of {first}: a contact and the bodies that it joins "
+                "have one; leave the contact's out to take theirs"
             )
+    return float(thickness)
+
+
+def _widths(contact: Any, bodies: Sequence[Any]) -> dict[int, Any]:
+    """Thickness of those bodies, by number, that a contact joins."""
+    meshes = [surface.mesh for surface in (contact.contactor, contact.target) if hasattr(surface, "mesh")]
+    mine = [
+        (k, body) for k, body in enumerate(bodies) if any(body.u.function_space.mesh is domain for domain in meshes)
+    ]
+    return {k: constant_value(body.width) for k, body in mine}
 
 
 def check_kinetic(energy: float) -> None:
