@@ -71,7 +71,7 @@ class Contact:
             bodies, or "gauss", the default, the same points on each facet.
         quadrature_degree: of the Gauss points on each facet, at least twice the multiplier's order; default 4 × the
             displacement's order (on a curved membrane in the plane 6 × order + 1), more where the target's facets are
-            finer. With segments of the points on each segment; default 2 × the displacement's order.
+            finer. With segments of the points on each segment; default exact on flat facets.
         thickness: out of the plane (m), for two-dimensional bodies; the same as in the bulk's forms.
         name: for messages and files; default "contact", with a number where there are several.
 
@@ -242,8 +242,10 @@ class ContactPair(PairResults):
             return None
         assert isinstance(self.target, DeformableTarget)
         degree = self.contact.quadrature_degree
-        degree = segment_degree(self.facets, self.contact.multiplier_order) if degree is None else degree
-        return segments_of(self.facets, self.target.surface, degree, self.contact.thickness)
+        target = self.target.surface
+        if degree is None:
+            degree = segment_degree(self.facets.shape, target.shape, self.contact.multiplier_order)
+        return segments_of(self.facets, target, degree, self.contact.thickness)
 
     def _check_apart(self, contactor: GatheredFacets) -> None:
         """Contactor and target share no node: the gap would vanish there whatever happens.
