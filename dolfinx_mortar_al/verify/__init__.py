@@ -2,6 +2,7 @@
 
 from dolfinx_mortar_al.verify import (
     blocks,
+    hemispheres,
     hertz,
     impact,
     ironing,
@@ -22,6 +23,7 @@ __all__ = [
     "Row",
     "Run",
     "blocks",
+    "hemispheres",
     "hertz",
     "impact",
     "ironing",
