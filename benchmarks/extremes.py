@@ -98,6 +98,9 @@ def with_ε(scale: float) -> Verdict:
     miss, mesh = (float(np.abs(f - default_ε).max() / size) for f in (mine, fine))
     cut = any(rejected for _, rejected, _ in run["steps"])
     said = f"forces within {miss:.1e}; those of a mesh twice as fine within {mesh:.1e}"
+    warned = [name for name in run["findings"] if "epsilon" in name]
+    if miss > max(AGREE, mesh) and warned:
+        return "warned", f"{said}; findings: {', '.join(warned)}"
     return ("right with rejections" if cut else "right") if miss <= max(AGREE, mesh) else "wrong", said
 
 

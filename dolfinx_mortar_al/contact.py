@@ -49,6 +49,9 @@ FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness 
 FIRMEST = 10.0  # the same for ε_N in time steps: partly closed facets overlap by p/ε_N
 NEAR = 2.0  # of the target's facets: gaps that may close in a step
 FAR = 100.0  # times more or less than by default: where Newton has been seen to fail for ε
+DEPENDS = (
+    "the answer depends on it where facets are partly closed, by more than a mesh twice as fine does; leave it out"
+)
 
 
 @dataclass(frozen=True)
@@ -330,13 +333,21 @@ class ContactPair(PairResults):
         if self.friction:
             self.law = Coulomb(self.epsilon, self.friction_coefficient, noise=εT * self.kinematics.touch)
 
-    def far_off(self) -> list[str]:
-        """The augmentation parameters that are a user's and more than FAR times more or less than the bulk suggests."""
+    def far_off(self) -> dict[str, float]:
+        """The augmentation parameters that are a user's and more than FAR times more or less than the bulk suggests, over
+        that."""
         given = {name: getattr(self.contact, name) for name in ("epsilon_normal", "epsilon_tangential")}
+        ratios = {name: ε / self.unit for name, ε in given.items() if ε is not None}
+        return {name: ratio for name, ratio in ratios.items() if not 1 / FAR < ratio < FAR}
+
+    def far_augmentation(self) -> list[Finding]:
+        """A finding for each of :meth:`far_off` while anything is closed (collective)."""
+        far = self.far_off()
+        if not far or self.closed_fraction() == 0.0:
+            return []
         return [
-            f"{self.name}: {name} = {ε:.3g} Pa/m where the bulk suggests {self.unit:.3g}"
-            for name, ε in given.items()
-            if ε is not None and not 1 / FAR < ε / self.unit < FAR
+            Finding(f"{self.name}: {name} over what the bulk suggests", k, (), DEPENDS, False)
+            for name, k in far.items()
         ]
 
     @property

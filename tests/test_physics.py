@@ -177,6 +177,17 @@ def test_answer_does_not_depend_on_ε(multiplier_order, facets, factors):
     assert np.ptp(tips) > 0.0  # ε was taken
 
 
+@pytest.mark.parametrize("factor, names", [(0.02, 0), (5e-3, 1), (200.0, 1)])
+def test_an_ε_far_from_the_bulk_is_said(factor, names):
+    """Once it is more than a hundred times off, the step's findings name it and its ratio to what the bulk suggests."""
+    default = beams()[0].pairs[0].epsilon.normal
+    problem, P = beams(epsilon_normal=factor * default)
+    (step,) = quasistatic.march(problem, P, to=1.0, increments=1)
+    found = [finding for finding in step.findings if "epsilon_normal" in finding.name]
+    assert len(found) == names
+    assert all(finding.value == pytest.approx(factor, rel=1e-6) for finding in found)
+
+
 def test_the_number_of_increments_does_not_matter_without_friction():
     tips = []
     for increments in (1, 2, 5):
