@@ -210,7 +210,7 @@ def reversals(n: int) -> Verdict:
         forces.append(model.pair.force()[:2])
     cycles = np.array(forces).reshape(-1, 2, 2)
     drift = float(np.abs(cycles[10:] - cycles[10]).max() / np.abs(cycles).max())
-    verdict = "right" if drift < 1e-7 else "wrong"
+    verdict = "right" if drift < 1e-9 else "wrong"  # Newton's tolerance
     return verdict, f"forces at the turning points the same to {drift:.1e} in {n} reversals, {rejected} rejected"
 
 

@@ -22,7 +22,7 @@ from dolfinx_mortar_al.blocks import Blocks, Tangent
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, degrees_on, segment_degree
 from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
-from dolfinx_mortar_al.law import OPEN, Augmentation, Coulomb, Frictionless, augmented_normal
+from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, Coulomb, Frictionless, augmented_normal
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
@@ -579,7 +579,9 @@ class ContactPair(PairResults):
         """The step has converged: it becomes the origin of the next one's slip, but for what multipliers of the nodes do not
         see of it, which acts on at each point by ε_T: forgotten in each step, it would let stuck points creep."""
         law = self.law
-        self.kinematics.commit(law.unspent(self.state, self.kinematics.at) if isinstance(law, Coulomb) else None)
+        unspent = law.unspent(self.state, self.kinematics.at) if isinstance(law, Coulomb) else None
+        in_steps = isinstance(self.kinematics, StepLevel)
+        self.kinematics.commit(unspent, None if in_steps else self.state.status == STICK)
         if isinstance(self.kinematics, StepLevel):
             self.kinematics.excuse(*self._decided())
         self._remember()
