@@ -58,14 +58,14 @@ def march(
     """One run of a scene, with `refinement` times as many increments, none less than `smallest` of them.
 
     The result has steps (per asked-for increment the iterations, rejected trials and facets of sliding), forces at the end of
-    each stage, error, checks of the last state.
+    each stage, error, names of findings, checks of the last state.
     """
     from robustness_model import Model
 
     from dolfinx_mortar_al import quasistatic
 
     start = time.perf_counter()
-    result: dict[str, Any] = {"steps": [], "forces": [], "error": None, "kind": None}
+    result: dict[str, Any] = {"steps": [], "forces": [], "error": None, "kind": None, "findings": []}
     kind = "set-up"
     try:
         model = Model(scene, other_ε, integration, ε)
@@ -82,6 +82,7 @@ def march(
             )
             for step in steps:
                 count = [count[0] + step.iterations, count[1] + step.rejected]
+                result["findings"] += [f.name for f in step.findings if f.name not in result["findings"]]
                 if verbose:
                     print(stage.name, step.load, *count, model.pair.force(), flush=True)
                 if step.nominal:

@@ -1,6 +1,6 @@
 """Surfaces in contact with themselves: against symmetry planes, by the choice of the contactor's side, on ranks, in impact.
 
-./run python3 benchmarks/self_contact.py c membrane roles flight      # the tables of docs/self_contact.md
+./run python3 benchmarks/self_contact.py c square membrane roles flight      # the tables of docs/self_contact.md
 ./run mpirun -n 3 python3 benchmarks/self_contact.py ring             # on 1, 2, 3 ranks the same numbers
 """
 
@@ -40,6 +40,26 @@ def c() -> None:
             f"| {n} | {plane[1]:.5e} | {own[1]:.5e} | {own[1] / plane[1] - 1:+.1e} | {own[0] / own[1]:.1e} | "
             f"{deflection:.5f} | {moved:.5f} |"
         )
+
+
+def square() -> None:
+    """The C with square tips, whose inner corners meet first, against its plane of symmetry."""
+    say("| cells along | friction | force, plane | force | deflection, plane | deflection | iterations | rejected |")
+    for n in (48, 96):
+        for half, friction in ((True, 0.0), (False, 0.3), (False, 0.6)):
+            problem, p = c_shape(MPI.COMM_WORLD, half, friction, n, square=True)
+            count = np.zeros(2, dtype=int)
+            for step in quasistatic.march(problem, p, to=2 * PRESSURE, increments=16):
+                count += step.iterations, step.rejected
+            force = abs(problem.pairs[0].force()[1])
+            deflection = tip(problem, (np.cos(OPENING + 0.1), np.sin(OPENING + 0.1)))[1]
+            if half:
+                plane = force, deflection
+            else:
+                say(
+                    f"| {n} | {friction} | {plane[0]:.5e} | {force:.5e} | {plane[1]:.5f} | {deflection:.5f} | "
+                    f"{count[0]} | {count[1]} |"
+                )
 
 
 def membrane() -> None:
@@ -99,7 +119,7 @@ def in_flight() -> None:
 
 
 if __name__ == "__main__":
-    tables = {"c": c, "membrane": membrane, "roles": roles, "ring": ring, "flight": in_flight}
+    tables = {"c": c, "square": square, "membrane": membrane, "roles": roles, "ring": ring, "flight": in_flight}
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("tables", nargs="+", choices=list(tables))
     for name in parser.parse_args().tables:

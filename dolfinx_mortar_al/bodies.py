@@ -352,7 +352,7 @@ class Bodies:
 
     def stiffness(self) -> tuple[list[fem.Function], tuple[Index32, Index32]]:
         """Diagonal of the bulk's stiffness (N/m) of each body, and the pattern of all in compressed rows."""
-        diagonals, indptr, indices = [], [np.zeros(1, dtype=np.int32)], []
+        diagonals, indptr, indices, entries = [], [np.zeros(1, dtype=np.int32)], [], 0
         #: the same diagonals, on a body's boundary as a pressure meets them
         self.yielding = []
         for k, body in enumerate(self.bodies):
@@ -368,7 +368,8 @@ class Bodies:
             A.destroy()  # the pattern takes less memory
             self._shift(k, columns)
             indices.append(columns)
-            indptr.append(rows[1:] + indptr[-1][-1])
+            indptr.append(rows[1:] + np.int32(entries))  # none where this rank has no node of the body
+            entries += len(columns)
         return diagonals, (np.concatenate(indptr), np.concatenate(indices))
 
     def _shift(self, k: int, columns: Index32) -> None:

@@ -22,7 +22,7 @@ from dolfinx_mortar_al.blocks import Blocks, Tangent
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, degrees_on, segment_degree
 from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
-from dolfinx_mortar_al.law import OPEN, Augmentation, Coulomb, Frictionless, augmented_normal
+from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, Coulomb, Frictionless, augmented_normal
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
@@ -49,6 +49,9 @@ FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness 
 FIRMEST = 10.0  # the same for ε_N in time steps: partly closed facets overlap by p/ε_N
 NEAR = 2.0  # of the target's facets: gaps that may close in a step
 FAR = 100.0  # times more or less than by default: where Newton has been seen to fail for ε
+DEPENDS = (
+    "the answer depends on it where facets are partly closed, by more than a mesh twice as fine does; leave it out"
+)
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class Contact:
             bodies, or "gauss", the default, the same points on each facet.
         quadrature_degree: of the Gauss points on each facet, at least twice the multiplier's order; default 4 × the
             displacement's order (on a curved membrane in the plane 6 × order + 1), more where the target's facets are
-            finer. With segments of the points on each segment; default 2 × the displacement's order.
+            finer. With segments of the points on each segment; default exact on flat facets.
         thickness: out of the plane (m), for two-dimensional bodies; the same as in the bulk's forms. Left out, that of the
             :class:`~dolfinx_mortar_al.body.Body` of the surfaces, or 1 with residuals of one's own.
         name: for messages and files; default "contact", with a number where there are several.
@@ -245,8 +248,10 @@ class ContactPair(PairResults):
             return None
         assert isinstance(self.target, DeformableTarget)
         degree = self.contact.quadrature_degree
-        degree = segment_degree(self.facets, self.contact.multiplier_order) if degree is None else degree
-        return segments_of(self.facets, self.target.surface, degree, self.thickness)
+        target = self.target.surface
+        if degree is None:
+            degree = segment_degree(self.facets.shape, target.shape, self.contact.multiplier_order)
+        return segments_of(self.facets, target, degree, self.thickness)
 
     def _check_apart(self, contactor: GatheredFacets) -> None:
         """Contactor and target share no node: the gap would vanish there whatever happens.
@@ -331,13 +336,21 @@ class ContactPair(PairResults):
         if self.friction:
             self.law = Coulomb(self.epsilon, self.friction_coefficient, noise=εT * self.kinematics.touch)
 
-    def far_off(self) -> list[str]:
-        """The augmentation parameters that are a user's and more than FAR times more or less than the bulk suggests."""
+    def far_off(self) -> dict[str, float]:
+        """The augmentation parameters that are a user's and more than FAR times more or less than the bulk suggests, over
+        that."""
         given = {name: getattr(self.contact, name) for name in ("epsilon_normal", "epsilon_tangential")}
+        ratios = {name: ε / self.unit for name, ε in given.items() if ε is not None}
+        return {name: ratio for name, ratio in ratios.items() if not 1 / FAR < ratio < FAR}
+
+    def far_augmentation(self) -> list[Finding]:
+        """A finding for each of :meth:`far_off` while anything is closed (collective)."""
+        far = self.far_off()
+        if not far or self.closed_fraction() == 0.0:
+            return []
         return [
-            f"{self.name}: {name} = {ε:.3g} Pa/m where the bulk suggests {self.unit:.3g}"
-            for name, ε in given.items()
-            if ε is not None and not 1 / FAR < ε / self.unit < FAR
+            Finding(f"{self.name}: {name} over what the bulk suggests", k, (), DEPENDS, False)
+            for name, k in far.items()
         ]
 
     @property
@@ -569,7 +582,9 @@ class ContactPair(PairResults):
         """The step has converged: it becomes the origin of the next one's slip, but for what multipliers of the nodes do not
         see of it, which acts on at each point by ε_T: forgotten in each step, it would let stuck points creep."""
         law = self.law
-        self.kinematics.commit(law.unspent(self.state, self.kinematics.at) if isinstance(law, Coulomb) else None)
+        unspent = law.unspent(self.state, self.kinematics.at) if isinstance(law, Coulomb) else None
+        in_steps = isinstance(self.kinematics, StepLevel)
+        self.kinematics.commit(unspent, None if in_steps else self.state.status == STICK)
         if isinstance(self.kinematics, StepLevel):
             self.kinematics.excuse(*self._decided())
         self._remember()

@@ -13,7 +13,7 @@ import numpy as np
 from basix import CellType
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.surface import Facets, surface_normal
+from dolfinx_mortar_al.surface import Facets, ShapeFunctions, surface_normal
 
 __all__ = ["IntegrationPoints", "default_degree", "degrees_on", "segment_degree"]
 
@@ -44,11 +44,13 @@ def degrees_on(facets: Facets, degree: int, faced: Array) -> Index:
     return np.clip(2 * points - 1, degree, HIGHEST)
 
 
-def segment_degree(facets: Facets, multiplier_order: int) -> int:
-    """The degree on each segment that is used unless the user names one: on flat facets exact for products of displacements
-    with each other, or on quadrilaterals, whose degree is twice their order, with the multiplier."""
-    order = facets.shape.order
-    return 2 * (order + multiplier_order) if facets.shape.cell == CellType.quadrilateral else 2 * order
+def segment_degree(contactor: ShapeFunctions, target: ShapeFunctions, multiplier_order: int) -> int:
+    """The degree on each segment that is used unless the user names one: on flat facets exact for products of the
+    multiplier with displacements of either side, and of the contactor's displacements with each other where they are
+    triangles or lines (on quadrilaterals a shape function's degree is twice its order)."""
+    double, other = (2 if shape.cell == CellType.quadrilateral else 1 for shape in (contactor, target))
+    own = double * (contactor.order + multiplier_order) if double == 2 else 2 * contactor.order
+    return max(own, double * multiplier_order + other * target.order)
 
 
 @dataclass(frozen=True)

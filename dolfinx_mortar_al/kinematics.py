@@ -169,14 +169,20 @@ class Kinematics(ABC):
         else:
             self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros_like(points.η))
 
-    def commit(self, unspent: Array | None = None) -> None:
-        """The step has converged: Y_{n−1} ← Y, from which the slip (n, gdim) that is `unspent` (m) goes on."""
+    def commit(self, unspent: Array | None = None, stuck: Bool | None = None) -> None:
+        """The step has converged: Y_{n−1} ← Y, from which the slip (n, gdim) that is `unspent` (m) goes on; points that are
+        `stuck` (n,) keep the Y from which they stick, so that nothing adds up however often they are moved to and fro."""
         point = self.faced.point.copy()
         lost = np.flatnonzero(~self.faced.facing)
         if self.friction and len(lost):  # the slip of what comes back is counted from the nearest point
             near = self.target.closest(self.x[lost]).point
             point.facet[lost], point.η[lost] = near.facet, near.η
-        self.set_history(point, self.apart(point, self.faced.facing, self.x, self.target.nodes, unspent))
+        ρ = self.apart(point, self.faced.facing, self.x, self.target.nodes, unspent)
+        if stuck is not None:
+            point.facet[stuck], point.η[stuck] = self.history.facet[stuck], self.history.η[stuck]
+            if ρ is not None:
+                ρ[stuck] = self.ρ[stuck]
+        self.set_history(point, ρ)
 
     def apart(
         self, point: TargetPoint, facing: Bool, x: Array, nodes: Array, unspent: Array | None = None

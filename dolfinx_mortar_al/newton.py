@@ -385,7 +385,11 @@ class NewtonSolver:
                 f"{' and '.join(p.unheld())}: press it on, prescribe the motion that is free, add friction, or let it "
                 "move with dynamics.march"
             )
-        elif far := [name for pair in p.pairs for name in pair.far_off()]:
+        elif far := [
+            f"{pair.name}: {name} = {ratio * pair.unit:.3g} Pa/m where the bulk suggests {pair.unit:.3g}"
+            for pair in p.pairs
+            for name, ratio in pair.far_off().items()
+        ]:
             parts.append(f"{', '.join(far)}: leave it out")
         elif any(sign < 0 for sign in self.result.signs):
             parts.append(

@@ -398,11 +398,12 @@ class ContactProblem:
 
     def findings(self) -> list[Finding]:
         """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse or
-        multiplier too fine, whose surfaces are prescribed to overlap, have passed through each other or overlap unfelt
-        (collective)."""
+        multiplier too fine, whose ε is far from the bulk's, whose surfaces are prescribed to overlap, have passed through
+        each other or overlap unfelt (collective)."""
         looks = [monitor.look() for monitor in self.monitors]
         for pair in self.pairs:
             looks += [pair.coarse_integration(), pair.fine_multiplier(), pair.prescribed_overlap(), *pair.unfelt()]
+            looks += pair.far_augmentation()
         return [finding for finding in looks if finding is not None]
 
     def evaluate(self) -> None:

@@ -99,9 +99,9 @@ def test_patch(dim, triangles, friction):
 OPENING, INNER, OUTER, PRESSURE = 0.25, 0.8, 1.0, 4e-4
 
 
-def c_shape(comm, half, friction, n):
-    """A split ring with round tips, clamped opposite the split, under a dead load that closes it, its whole boundary in
-    contact with itself; or its upper half above a rigid plane: (problem, pressure)."""
+def c_shape(comm, half, friction, n, square=False):
+    """A split ring with round (or `square`) tips, clamped opposite the split, under a dead load that closes it, its whole
+    boundary in contact with itself; or its upper half above a rigid plane: (problem, pressure)."""
     end = np.pi if half else 2 * np.pi - OPENING
     box = [[OPENING, INNER], [end, OUTER]]
     domain = mesh.create_rectangle(comm, box, [n // 2 if half else n, 4], mesh.CellType.quadrilateral)
@@ -109,7 +109,7 @@ def c_shape(comm, half, friction, n):
     θ, v = X[:, 0].copy(), 2 * (X[:, 1] - (INNER + OUTER) / 2) / (OUTER - INNER)
     middle, h = (INNER + OUTER) / 2, (OUTER - INNER) / 2
     squeeze = np.ones(len(θ))
-    for sign, tip_ in ((1, OPENING), (-1, 2 * np.pi - OPENING)):
+    for sign, tip_ in () if square else ((1, OPENING), (-1, 2 * np.pi - OPENING)):
         w = np.clip(1 - sign * (θ - tip_) * middle / h, 0, 1)  # 1 at the tip, 0 where the ring begins
         θ = np.where(w > 0, tip_ + sign * h / middle * (1 - w * np.sqrt(1 - 0.475 * v**2)), θ)
         squeeze = np.where(w > 0, np.sqrt(1 - 0.475 * w**2), squeeze)

@@ -20,7 +20,8 @@ __all__ = ["main"]
 
 #: in the order of the page
 ORDER = (
-    "patch-2d", "patch-3d", "rings", "hertz-plane", "hertz-ball", "mindlin-plane", "mindlin-printed", "mindlin-balls",
+    "patch-2d", "patch-3d", "patch-ssnp170", "patch-ssnp121", "cubes-ssnv167", "rings",
+    "hertz-plane", "hertz-ball", "hertz-spheres", "hertz-moose", "mindlin-plane", "mindlin-printed", "mindlin-balls",
     "incline", "friction-angle", "klang", "ironing", "twist", "bar-on-wall",
 )  # fmt: skip
 

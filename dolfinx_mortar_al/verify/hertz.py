@@ -230,9 +230,8 @@ BALL = "Hertz; a half space and small slopes are right to a/R + (a/extent)³ = 0
     ],
 )
 def hertz_ball(quick: bool) -> Outcome:
-    """MOOSE's sphere on a plane (E = 14.0625 MPa, ν = 0.25, R = 1 m; code_aster's SSNV104 is the same by symmetry),
-    on a rigid plane; a quarter of it, hexahedra of order 1. The printed load makes a/R = 0.1 (SSNV104: 0.2, and −3176
-    MPa found for −2798: Hertz' error, not the code's); here it makes a/R = 1e-3, and the ball is 12 a large.
+    """MOOSE's ball (E = 14.0625 MPa, ν = 0.25, R = 1 m) on a rigid plane; a quarter of it, hexahedra of order 1. The
+    printed load makes a/R = 0.1 (`hertz-moose`); here it makes a/R = 1e-3, and the ball is 12 a large.
     """
     runs = []
     sizes = (3, 5) if quick else (4, 8, 12)

@@ -16,6 +16,7 @@ from dolfinx_mortar_al import Contact, ContactProblem, Surface, quasistatic
 from dolfinx_mortar_al.contact import ContactPair
 from dolfinx_mortar_al.contact_fields import ContactFields
 from dolfinx_mortar_al.materials import lame
+from dolfinx_mortar_al.newton import NewtonSolver
 from dolfinx_mortar_al.obstacles import Obstacle
 from dolfinx_mortar_al.verify.case import Effort
 
@@ -92,10 +93,12 @@ def march(
     start: float | None = None,
     each: Callable[[float], None] | None = None,
     until: Callable[[], bool] | None = None,
+    rtol: float = 1e-9,
 ) -> float:
     """`quasistatic.march` to its end, its effort added to `effort`; the last load. `each` sees each converged load."""
     begin, last = perf_counter(), np.nan
-    for step in quasistatic.march(problem, load, to=to, increments=increments, start=start, until=until):
+    solver = NewtonSolver(problem, rtol=rtol)
+    for step in quasistatic.march(problem, load, to=to, increments=increments, start=start, until=until, solver=solver):
         effort.iterations += step.iterations
         effort.rejected += step.rejected
         last = step.load
