@@ -78,7 +78,7 @@ def shown(seen: Watched, order: float, e: float) -> list[str]:
     E0 = seen.energy
     return [
         f"{seen.above:.0e}", f"{seen.momentum:.0e}", f"{seen.spin:.0e}", f"{seen.deepest:.2%}", f"{seen.mean_gap:.0e}",
-        f"{seen.loss / E0:.3%}", "–" if math.isnan(order) else f"{order:.2f}", f"{seen.friction / E0:.3%}", f"{e:.4f}",
+        f"{seen.loss / E0:.3%}", "–" if math.isnan(order) else f"{order:.2f}", f"{seen.friction / E0:z.3%}", f"{e:.4f}",
         str(seen.steps), str(seen.iterations), str(seen.rejected), f"{seen.seconds:.1f}",
     ]  # fmt: skip
 
@@ -147,7 +147,7 @@ def family(seed: int, scenes: int, only: int | None) -> None:
         print(
             f"| {k} | {words} | {'yes' if seen.sound else 'NO'} | {seen.above:.0e} | {seen.momentum:.0e} | {seen.spin:.0e} "
             f"| {seen.worst_gain:.0e} | {seen.deepest:.2%} | {seen.loss / seen.energy:.3%} "
-            f"| {seen.friction / seen.energy:.3%} | {seen.steps} | {seen.iterations} | {seen.rejected} "
+            f"| {seen.friction / seen.energy:z.3%} | {seen.steps} | {seen.iterations} | {seen.rejected} "
             f"| {seen.seconds:.1f} | {seen.failure[:200]} |",
             flush=True,
         )
