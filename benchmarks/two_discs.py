@@ -2,12 +2,16 @@
 
     ./run python3 benchmarks/two_discs.py
     ./run python3 benchmarks/two_discs.py --friction 0.4 --sizes 0.015 --steps 1e-3 5e-4
+    ./run python3 benchmarks/two_discs.py --bodies balls
     ./run python3 benchmarks/two_discs.py --family 1 --scenes 40
 
 Discs of R = 0.1 m, neo-Hookean, E = 1e6 Pa, ν = 0.3, ρ = 1000 kg/m³, with velocities (±0.5, ±2) m/s, centres 0.08 m
 off; P2 elements of h and 1.3 h, 0.06 s. Shares of energy are of E₀; penetration is of h: "deepest" at a closed point, "mean"
 the weighted gap of a multiplier's node, which the method holds. Restitution is that along the line of centres at the
 start. Seconds are of CPU.
+
+In space: balls of the same R (tetrahedra of h and 1.3 h), or cubes with rounded edges and sides of 2 R (hexahedra of h and
+1.25 h), turned so that an edge meets another; P1, velocities (±0.5, ±0.2, ±2) m/s, centres 0.085 m off.
 
 The family: discs, rings, a block on a ring; μ 0 … 1, ratio of stiffness 1 … 1000, speed 0.01 … 0.5 of the softer body's
 wave speed, Δt 0.05 … 2 of h over the relative speed, P1 and P2. A scene is sound if energy never exceeds E₀ (1 + 1e-9),
@@ -19,24 +23,53 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from collisions import DENSITY, NU, Block, Body, Collision, Round, Watched, watch
+from collisions import DENSITY, NU, Ball, Block, Body, Collision, Cube, Round, Shape, Watched, watch
 
-R, GAP, OFFSET, END = 0.1, 1e-3, 0.08, 0.06
+R, GAP, OFFSET, END, ROUNDED = 0.1, 1e-3, 0.08, 0.06, 0.04
+OFFSETS = np.array([OFFSET, 0.03])  # in space
+SIZES = {"discs": [0.015, 0.0075, 0.00375], "balls": [0.03, 0.02], "cubes": [0.04, 0.02]}
 LONGEST = 150  # steps of a scene of the family
 
 
 def discs(h: float, step: float, friction: float, ratio: float, speed: float) -> Collision:
     """The scene of the table; `ratio` of the second disc's E to the first's, `speed` a factor on both velocities."""
     centre = (1 + GAP / (2 * R)) * np.array([OFFSET, math.sqrt((2 * R) ** 2 - OFFSET**2)])
-    v = 0.5 * speed, 2.0 * speed
     first, second = Round(radius=R, size=h), Round(centre=tuple(centre), radius=R, size=1.3 * h)
-    return Collision((Body(first, 1e6, v), Body(second, ratio * 1e6, (-v[0], -v[1]))), step, friction)
+    return against(first, second, (0.5, 2.0), step, friction, ratio, speed)
+
+
+def balls(h: float, step: float, friction: float, ratio: float, speed: float) -> Collision:
+    """The same with balls."""
+    centre = (1 + GAP / (2 * R)) * np.array([*OFFSETS, math.sqrt((2 * R) ** 2 - OFFSETS @ OFFSETS)])
+    first, second = Ball(radius=R, size=h), Ball(tuple(centre), R, 1.3 * h)
+    return against(first, second, (0.5, 0.2, 2.0), step, friction, ratio, speed, order=1)
+
+
+def cubes(h: float, step: float, friction: float, ratio: float, speed: float) -> Collision:
+    """Cubes on edge: the first turned about x by 45°, the second about y."""
+    lift = 2 * (math.sqrt(2) * (R - ROUNDED) + ROUNDED) + GAP
+    first = Cube(half=R, rounded=ROUNDED, cells=round(2 * R / h), turned=(math.pi / 4, 0.0, 0.0))
+    coarser = Cube((*OFFSETS, lift), R, ROUNDED, round(2 * R / (1.25 * h)), (0.0, math.pi / 4, 0.0))
+    return against(first, coarser, (0.5, 0.2, 2.0), step, friction, ratio, speed, order=1)
+
+
+def against(
+    first: Shape, second: Shape, v: tuple[float, ...], step: float, friction: float, ratio: float, speed: float,
+    order: int = 2,
+) -> Collision:  # fmt: skip
+    """Two bodies with velocities ±v times `speed`."""
+    pairs = (first, 1e6, speed), (second, ratio * 1e6, -speed)
+    return Collision(tuple(Body(shape, E, tuple(s * c for c in v)) for shape, E, s in pairs), step, friction, order)
+
+
+SCENES = {"discs": discs, "balls": balls, "cubes": cubes}
 
 
 def restitution(scene: Collision, before: np.ndarray) -> float:
-    """Of the relative velocity of the centres along their line at the start; `before` are the momenta (bodies, 3) then."""
-    n, m = np.array([OFFSET, math.sqrt((2 * R) ** 2 - OFFSET**2)]) / (2 * R), scene.masses()
-    approach, parting = ((p[0, :2] / m[0] - p[1, :2] / m[1]) @ n for p in (before, scene.momenta()))
+    """Of the relative velocity of the centres along their line at the start; `before` are the momenta then. The first body is
+    at the origin."""
+    n, m, d = np.array(scene.bodies[1].shape.centre), scene.masses(), scene.problem.gdim
+    approach, parting = ((p[0, :d] / m[0] - p[1, :d] / m[1]) @ n for p in (before, scene.momenta()))
     return float(-parting / approach)
 
 
@@ -45,7 +78,7 @@ def shown(seen: Watched, order: float, e: float) -> list[str]:
     E0 = seen.energy
     return [
         f"{seen.above:.0e}", f"{seen.momentum:.0e}", f"{seen.spin:.0e}", f"{seen.deepest:.2%}", f"{seen.mean_gap:.0e}",
-        f"{seen.loss / E0:.3%}", "–" if math.isnan(order) else f"{order:.2f}", f"{seen.friction / E0:.3%}", f"{e:.4f}",
+        f"{seen.loss / E0:.3%}", "–" if math.isnan(order) else f"{order:.2f}", f"{seen.friction / E0:z.3%}", f"{e:.4f}",
         str(seen.steps), str(seen.iterations), str(seen.rejected), f"{seen.seconds:.1f}",
     ]  # fmt: skip
 
@@ -55,10 +88,10 @@ def table(args: argparse.Namespace) -> None:
     columns += ["impact loss", "order", "friction", "restitution", "steps", "iterations", "rejected", "CPU s"]
     print("| " + " | ".join(columns) + " |\n" + "|" + "---|" * len(columns), flush=True)
     for friction in args.friction:
-        for h in args.sizes:
+        for h in args.sizes or SIZES[args.bodies]:
             last = (math.nan, math.nan)  # Δt and loss
             for step in args.steps:
-                scene = discs(h, step, friction, args.stiffness_ratio, args.speed)
+                scene = SCENES[args.bodies](h, step, friction, args.stiffness_ratio, args.speed)
                 before = scene.momenta()
                 seen = watch(scene, END / args.speed, h)
                 order = math.log(seen.loss / last[1]) / math.log(step / last[0]) if last[1] > 0 else math.nan
@@ -114,7 +147,7 @@ def family(seed: int, scenes: int, only: int | None) -> None:
         print(
             f"| {k} | {words} | {'yes' if seen.sound else 'NO'} | {seen.above:.0e} | {seen.momentum:.0e} | {seen.spin:.0e} "
             f"| {seen.worst_gain:.0e} | {seen.deepest:.2%} | {seen.loss / seen.energy:.3%} "
-            f"| {seen.friction / seen.energy:.3%} | {seen.steps} | {seen.iterations} | {seen.rejected} "
+            f"| {seen.friction / seen.energy:z.3%} | {seen.steps} | {seen.iterations} | {seen.rejected} "
             f"| {seen.seconds:.1f} | {seen.failure[:200]} |",
             flush=True,
         )
@@ -125,7 +158,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--steps", type=float, nargs="+", default=[2e-3 / 2**k for k in range(5)], help="Δt in s (%(default)s)")
-    add("--sizes", type=float, nargs="+", default=[0.015, 0.0075, 0.00375], help="h in m (%(default)s)")
+    add("--bodies", choices=SCENES, default="discs", help="(%(default)s)")
+    add("--sizes", type=float, nargs="+", help=f"h in m ({SIZES})")
     add("--friction", type=float, nargs="+", default=[0.0, 0.4], help="(%(default)s)")
     add("--stiffness-ratio", type=float, default=1.0, help="of the second disc to the first (%(default)s)")
     add("--speed", type=float, default=1.0, help="factor on both velocities; the time is divided by it (%(default)s)")

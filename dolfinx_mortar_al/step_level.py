@@ -133,6 +133,9 @@ class StepLevel(Kinematics):
         self.begin()
         self.set_history(self.end.point)
 
+    def commit(self, unspent: Array | None = None) -> None:
+        """The slip is that within a step: none goes on from one to the next."""
+
     def _project(self) -> None:
         """What the points face now."""
         self._now, self._place = self.contactor(), self.target.place

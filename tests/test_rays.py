@@ -23,11 +23,11 @@ def tangents_of(normal):
     return np.stack([null_space(n[None]).T for n in normal])
 
 
-def shoot(surface, x, normal, positions=None, table=None):
+def shoot(surface, x, normal, positions=None, table=None, search=None):
     """`cast` with every facet a candidate, unless there is a table."""
     positions = surface.X if positions is None else positions
     every = np.tile(np.arange(len(surface.facets)), (len(x), 1)) if table is None else table
-    return cast(surface, positions, x, normal, tangents_of(normal), every, CandidateSearch(surface))
+    return cast(surface, positions, x, normal, tangents_of(normal), every, search or CandidateSearch(surface))
 
 
 def random_rays(surface, n, seed):
@@ -245,18 +245,21 @@ def sheets(*heights_and_sides):
 
 
 def test_a_hit_far_behind_counts_where_the_closest_point_agrees():
-    """Facets are 1/8 long; a slab between y = 0 (outside is up) and y = −1 (down)."""
+    """Facets are 1/8 long; a slab between y = 0 (outside is up) and y = −1 (down). The closest point is only looked for where
+    the ray does not go through the slab."""
     slab, top = sheets((0.0, 1), (-1.0, -1)), sheets((0.0, 1))
     down = np.array([[0.0, -1.0]])
-    for y, surface, facing, g in (
-        (-0.05, slab, True, 0.05),  # shallow
-        (-0.3, slab, True, 0.3),  # deep, and inside
-        (-1.5, slab, False, None),  # on the slab's other side, turned away from it
-        (-1.5, top, True, 1.5),  # no other side: inside
-        (0.2, slab, True, -0.2),
+    for y, surface, facing, g, asked in (
+        (-0.05, slab, True, 0.05, 0),  # shallow
+        (-0.3, slab, True, 0.3, 1),  # deep, and inside
+        (-1.5, slab, False, None, 0),  # on the slab's other side, turned away from it
+        (-1.5, top, True, 1.5, 1),  # no other side: inside
+        (0.2, slab, True, -0.2, 0),
     ):
-        at = shoot(surface, np.array([[0.45, y]]), down)
+        search = CandidateSearch(surface)
+        at = shoot(surface, np.array([[0.45, y]]), down, search=search)
         assert at.facing.tolist() == [facing]
+        assert search.rebuilds == asked
         assert g is None or at.g[0] == pytest.approx(g, abs=1e-12)
 
 
