@@ -15,7 +15,7 @@ from dolfinx import fem
 
 from dolfinx_mortar_al.materials import Hyperelastic, cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import NeoHookeanMembrane, tangent_gradient
-from dolfinx_mortar_al.validation import check_law, check_residual
+from dolfinx_mortar_al.validation import check_law, check_linear, check_residual
 
 __all__ = ["CONSISTENT", "TRAPEZOIDAL", "WORK", "InternalWork", "Material", "internal_work"]
 
@@ -102,6 +102,7 @@ def _of_form(
     u: fem.Function, old: fem.Function, form: Any, dx: ufl.Measure | None, θ: float, thickness: Any, name: str
 ) -> InternalWork:
     check_residual(form, u, name)
+    check_linear(name, form)
     (w,) = form.arguments()
     start = ufl.replace(form, {u: old})
     work = 0.5 * ufl.replace(start, {w: u - old}) + 0.5 * ufl.replace(form, {w: u - old})

@@ -179,8 +179,8 @@ class DeformableTarget(Target):
     def _cast(self, points: ContactorPoints, nodes: Array, rays: RaySearch, near: CandidateSearch) -> RayHit:
         """What the points' rays meet, with the target's nodes at `nodes` (m)."""
         x, normal = points.x, points.normal
-        table = rays(x, normal, nodes)
-        return cast(self.surface, nodes, x, normal, points.tangents, table, near, self.depth(points))
+        couples = rays(x, normal, nodes)
+        return cast(self.surface, nodes, x, normal, points.tangents, couples, near, self.depth(points))
 
     def depth(self, points: ContactorPoints) -> Array | None:
         """(n,) how far behind the points (m) their rays look; None for as far as the closest points confirm."""

@@ -27,10 +27,12 @@ __all__ = [
     "check_external",
     "check_kinetic",
     "check_law",
+    "check_linear",
     "check_motions",
     "check_names",
     "check_residual",
     "check_thickness",
+    "compiled",
     "constant_value",
     "listed",
     "number",
@@ -193,7 +195,20 @@ def check_residual(F: Any, u: fem.Function, name: str = "F") -> None:
             )
     if u not in F.coefficients():
         raise ValueError(f"{name} does not depend on u: is it written with another Function?")
-    _check_linear(name, F)
+
+
+def compiled(form: ufl.Form, written: ufl.Form, name: str = "F") -> fem.Form:
+    """`form` compiled, or what is wrong with the form that the user has `written`. What the form compiler has in its cache is
+    sound, so that nothing needs to be looked at before.
+
+    Raises:
+        ValueError: on every rank, if the form is not linear in its test function.
+    """
+    try:
+        return fem.form(form)
+    except Exception:
+        check_linear(name, written)
+        raise
 
 
 def check_external(external: Any, u: fem.Function) -> None:
@@ -214,10 +229,15 @@ def check_external(external: Any, u: fem.Function) -> None:
             "external depends on u: only dead loads have a work that the ledger can keep; what depends on u belongs into the "
             "material or into F"
         )
-    _check_linear("external", external)
+    check_linear("external", external)
 
 
-def _check_linear(name: str, form: ufl.Form) -> None:
+def check_linear(name: str, form: ufl.Form) -> None:
+    """As far as UFL can tell, a form is linear in its test function.
+
+    Raises:
+        ValueError: if it is not.
+    """
     try:
         ufl.algorithms.compute_form_data(form)
     except ufl.algorithms.check_arities.ArityMismatch as error:

@@ -23,11 +23,16 @@ def tangents_of(normal):
     return np.stack([null_space(n[None]).T for n in normal])
 
 
-def shoot(surface, x, normal, positions=None, table=None):
-    """`cast` with every facet a candidate, unless there is a table."""
+def all_couples(points, facets):
+    """Every point with every facet."""
+    return np.repeat(np.arange(points), facets), np.tile(np.arange(facets), points)
+
+
+def shoot(surface, x, normal, positions=None, couples=None):
+    """`cast` with every facet a candidate, unless there are couples."""
     positions = surface.X if positions is None else positions
-    every = np.tile(np.arange(len(surface.facets)), (len(x), 1)) if table is None else table
-    return cast(surface, positions, x, normal, tangents_of(normal), every, CandidateSearch(surface))
+    couples = all_couples(len(x), len(surface.facets)) if couples is None else couples
+    return cast(surface, positions, x, normal, tangents_of(normal), couples, CandidateSearch(surface))
 
 
 def random_rays(surface, n, seed):
@@ -106,7 +111,7 @@ def test_far_from_the_origin_the_same_hits(cell, order):
     far = np.array([3e5, -2e5, 1e5])[: x.shape[1]]  # a million facets away
     moved = GatheredFacets(surface.shape, surface.facets, surface.blocks, surface.X + far, surface.orientation)
     search = RaySearch(moved)
-    here, there = shoot(surface, x, normal), shoot(moved, x + far, normal, table=search(x + far, normal, moved.X))
+    here, there = shoot(surface, x, normal), shoot(moved, x + far, normal, couples=search(x + far, normal, moved.X))
     assert np.array_equal(here.facing, there.facing)
     assert np.allclose(here.g, there.g, atol=1e-8)  # the coordinates themselves are good to 6e-11
 
@@ -155,7 +160,7 @@ def test_variation_against_differences(cell, order, contactor_order):
         normal = surface_normal(tangents) * (1.0 if d == 2 else -1.0)  # down
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         x = N1 @ mine
-        every = np.tile(np.arange(len(surface.facets)), (20, 1))
+        every = all_couples(20, len(surface.facets))
         at = cast(surface, theirs, x, normal, tangents, every, CandidateSearch(surface))
         return at, x - np.einsum("nk,nki->ni", N_old, theirs[on_old]) - carried(dN_old @ theirs[on_old], ρ)
 
@@ -222,7 +227,7 @@ def test_a_ray_that_turns_to_the_target_is_seen():
     surface = curved_surface("line", 1)
     search, x = RaySearch(surface), np.array([[0.5, 0.8]])
     for normal, hit in ((np.array([[1.0, 0.0]]), False), (np.array([[0.0, -1.0]]), True)):
-        at = shoot(surface, x, normal, table=search(x, normal, surface.X))
+        at = shoot(surface, x, normal, couples=search(x, normal, surface.X))
         assert at.facing.tolist() == [hit]
 
 
