@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot, inverse
-from dolfinx_mortar_al.search import balls
+from dolfinx_mortar_al.search import balls, where
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions, surface_normal
 
 __all__ = ["ClosestPoint", "closest_in_facet", "penetrates", "project"]
@@ -187,7 +187,7 @@ def _closest_of(
     every: Index = np.arange(len(x))
     begun = look(every, first)
     away[every, first] = np.inf
-    rest = look(*np.nonzero(away <= begun[3][:, None] + MEETING * target.size_of_facets))
+    rest = look(*where(away <= begun[3][:, None] + MEETING * target.size_of_facets))
     row, column = (np.concatenate([begun[k], rest[k]]) for k in (0, 1))
     η, distance = (np.concatenate([begun[k], rest[k]]) for k in (2, 3))
     return row, column, η, distance

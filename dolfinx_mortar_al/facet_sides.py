@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.projection import dot
+from dolfinx_mortar_al.search import where
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions, surface_normal
 
 __all__ = ["is_behind"]
@@ -37,7 +38,7 @@ def is_behind(target: GatheredFacets, positions: Array, x: Array, candidates: In
         candidates: (n, k) facets that may hold the closest point, padded with −1.
     """
     centre, normal, low, high, radius, cosine = _bounds(target, positions)
-    row, column = np.nonzero(candidates >= 0)
+    row, column = where(candidates >= 0)
     facet = candidates[row, column]
     r = x[row] - centre[facet]
     along = dot(r, normal[facet])

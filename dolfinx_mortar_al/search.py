@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.projection import dot
 from dolfinx_mortar_al.surface import GatheredFacets
 
-__all__ = ["BULGE", "CandidateSearch", "RaySearch", "across", "balls", "candidates", "ray_candidates"]
+__all__ = ["BULGE", "CandidateSearch", "RaySearch", "across", "balls", "candidates", "ray_candidates", "where"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -23,7 +23,7 @@ GROUP, BATCH = (
     128,
     2**18,
 )  # fewest points, and couples with all facets, looked at together: less makes more steps than work
-MARGIN = 0.5  # of a facet, by which things may move until rays are searched anew
+MARGIN = 0.25  # of a facet, by which things may move until rays are searched anew
 BULGE = {1: 1e-9, 2: 0.35}  # by order: what a facet leaves its nodes' box by, over the box; a patch by a third at most
 LEBESGUE = {1: 1.0, 2: 5.0 / 3.0}  # by order: motion of a facet's points over that of its nodes, at most
 BITS = 10  # of each coordinate along the curve that groups are cut from
@@ -62,6 +62,11 @@ def _groups(x: Array, facets: int) -> list[Index]:
     return [order[first : first + size] for first in range(0, n, size)]
 
 
+def where(table: NDArray[np.bool_]) -> tuple[Index, Index]:
+    """Rows and columns (m,) where a table is true, in their order; several times quicker than NumPy's `nonzero`."""
+    return np.divmod(np.flatnonzero(table), max(table.shape[1], 1))
+
+
 def _squared_distances(x: Array, centre: Array) -> Array:
     """(n, nf) of points and centres near the coordinates' origin: far from it distances would lose their digits."""
     size = np.einsum("fi,fi->f", centre, centre)
@@ -87,7 +92,7 @@ def candidates(x: Array, facets: Array, margin: float) -> Index:
         distance = np.sqrt(_squared_distances(x[group] - middle, centre[near] - middle))
         # no point of the target is closer than `nearest` to x, and one is at most that far: a node of the nearest facet
         nearest = np.linalg.norm(x[group, None] - facets[near[distance.argmin(axis=1)]], axis=2).min(axis=1)
-        i, j = np.nonzero(distance - radius[near] <= nearest[:, None] + margin)
+        i, j = where(distance - radius[near] <= nearest[:, None] + margin)
         rows.append(group[i])
         columns.append(near[j])
     return _table(np.concatenate(rows), np.concatenate(columns), len(x))
@@ -114,7 +119,7 @@ def ray_candidates(x: Array, normal: Array, facets: Array, margin: float) -> tup
         axes = np.moveaxis(across(n), 1, 0)
         beside = [e @ c.T - dot(p, e)[:, None] for e in axes]
         squared = beside[0] ** 2 if len(beside) == 1 else beside[0] ** 2 + beside[1] ** 2
-        i, j = np.nonzero(squared <= (radius[near] + margin) ** 2)
+        i, j = where(squared <= (radius[near] + margin) ** 2)
         distance = np.linalg.norm(c[j] - p[i], axis=1)
         farthest, nearest = np.zeros(len(group)), np.full(len(group), np.inf)
         np.maximum.at(farthest, i, distance)

@@ -20,7 +20,7 @@ from dolfinx_mortar_al.closest_point import ClosestPoint, project
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine
 from dolfinx_mortar_al.rays import RayHit, cast
-from dolfinx_mortar_al.search import CandidateSearch, RaySearch
+from dolfinx_mortar_al.search import CandidateSearch, RaySearch, ray_candidates
 from dolfinx_mortar_al.surface import Facets, Surface
 
 __all__ = ["ContactorPoints", "DeformableTarget", "Place", "RigidTarget", "Target", "target_of"]
@@ -174,13 +174,14 @@ class DeformableTarget(Target):
         assert isinstance(nodes, np.ndarray)
         if not self.uses_rays:
             return project(self.surface, nodes, points.x, self._near(points.x, nodes))
-        return self._cast(points, nodes, self._on_rays, self._near)
+        return self._cast(points, nodes, self._on_rays(points.x, points.normal, nodes), self._near)
 
-    def _cast(self, points: ContactorPoints, nodes: Array, rays: RaySearch, near: CandidateSearch) -> RayHit:
-        """What the points' rays meet, with the target's nodes at `nodes` (m)."""
-        x, normal = points.x, points.normal
-        couples = rays(x, normal, nodes)
-        return cast(self.surface, nodes, x, normal, points.tangents, couples, near, self.depth(points))
+    def _cast(
+        self, points: ContactorPoints, nodes: Array, couples: tuple[Index, Index], near: CandidateSearch
+    ) -> RayHit:
+        """What the points' rays meet of the facets in `couples`, with the target's nodes at `nodes` (m)."""
+        x, normal, depth = points.x, points.normal, self.depth(points)
+        return cast(self.surface, nodes, x, normal, points.tangents, couples, near, depth)
 
     def depth(self, points: ContactorPoints) -> Array | None:
         """(n,) how far behind the points (m) their rays look; None for as far as the closest points confirm."""
@@ -193,7 +194,8 @@ class DeformableTarget(Target):
 
     def faced(self, points: ContactorPoints, nodes: Array) -> tuple[TargetPoint, NDArray[np.bool_]]:
         search = CandidateSearch(self.surface)
-        at = self._cast(points, nodes, RaySearch(self.surface), search)
+        couples = ray_candidates(points.x, points.normal, nodes[self.facets], 0.0)[:2]
+        at = self._cast(points, nodes, couples, search)
         lost = np.flatnonzero(~at.facing)
         if len(lost):
             near = project(self.surface, nodes, points.x[lost], search(points.x[lost], nodes)).point
