@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.closest_point import penetrates
 from dolfinx_mortar_al.facet_sides import is_behind
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot
-from dolfinx_mortar_al.search import BULGE, CandidateSearch, across
+from dolfinx_mortar_al.search import BULGE, across, candidates
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions, surface_normal
 
 __all__ = ["RayHit", "cast", "hits"]
@@ -50,7 +50,6 @@ def cast(
     normal: Array,
     tangents: Array,
     couples: tuple[Index, Index],
-    search: CandidateSearch,
     depth: Array | None = None,
 ) -> RayHit:
     """The nearest valid hit of each point's ray, in front of the contactor or, in penetration, behind it.
@@ -61,7 +60,6 @@ def cast(
         x: (n, gdim) contactor points (m).
         normal: (n, gdim) the contactor's outward unit normal there; tangents: (n, dim, gdim) its covariant tangents (m).
         couples: rays (m,), ascending, and facets (m,) that they may meet.
-        search: for closest points, where a deep penetration is in doubt.
         depth: (n,) penetration (m) beyond which a hit behind the contactor does not count, in place of the closest points.
     """
     row, facet, η, d = hits(target.shape, positions[target.facets], x, normal, *couples)
@@ -75,7 +73,7 @@ def cast(
     nearest = _first_of_each(row, np.abs(d))
     deep = nearest[d[nearest] < -DEEP * target.size_of_facets] if depth is None else nearest[:0]
     if len(deep):
-        outside = row[deep][~_is_inside(target, positions, x[row[deep]], search)]
+        outside = row[deep][~_is_inside(target, positions, x[row[deep]])]
         real = ~(np.isin(row, outside) & (d < 0))
         row, facet, η, d = row[real], facet[real], η[real], d[real]
         nearest = _first_of_each(row, np.abs(d))
@@ -200,12 +198,12 @@ def _first_of_each(row: Index, key: Array) -> Index:
     return order[np.r_[True, np.diff(row[order]) > 0]] if len(order) else order
 
 
-def _is_inside(target: GatheredFacets, positions: Array, x: Array, search: CandidateSearch) -> NDArray[np.bool_]:
+def _is_inside(target: GatheredFacets, positions: Array, x: Array) -> NDArray[np.bool_]:
     """(n,) whether the closest points say that 𝐱 (n, gdim) lies inside the target. They are looked for where the side of all
     facets that may hold them does not tell."""
-    candidates = search(x, positions)
-    inside, known = is_behind(target, positions, x, candidates)
+    near = candidates(x, positions[target.facets], 0.0)
+    inside, known = is_behind(target, positions, x, near)
     ask = np.flatnonzero(~known)
     if len(ask):
-        inside[ask] = penetrates(target, positions, x[ask], candidates[ask])
+        inside[ask] = penetrates(target, positions, x[ask], near[ask])
     return inside

@@ -121,9 +121,11 @@ def ray_candidates(x: Array, normal: Array, facets: Array, margin: float) -> tup
         squared = beside[0] ** 2 if len(beside) == 1 else beside[0] ** 2 + beside[1] ** 2
         i, j = where(squared <= (radius[near] + margin) ** 2)
         distance = np.linalg.norm(c[j] - p[i], axis=1)
+        first = np.flatnonzero(np.r_[True, i[1:] > i[:-1]][: len(i)])
         farthest, nearest = np.zeros(len(group)), np.full(len(group), np.inf)
-        np.maximum.at(farthest, i, distance)
-        np.minimum.at(nearest, i, distance)
+        if len(first):
+            farthest[i[first]] = np.maximum.reduceat(distance, first)
+            nearest[i[first]] = np.minimum.reduceat(distance, first)
         alone = np.flatnonzero(np.isinf(nearest))
         if len(alone):
             nearest[alone] = np.sqrt(_squared_distances(p[alone], c).min(axis=1))

@@ -11,7 +11,7 @@ from dolfinx_mortar_al.carried import carried, components, vary_carried
 from dolfinx_mortar_al.closest_point import project
 from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.rays import FACING, cast
-from dolfinx_mortar_al.search import CandidateSearch, RaySearch
+from dolfinx_mortar_al.search import RaySearch, candidates
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions, surface_normal
 from dolfinx_mortar_al.variation import Slots, vary
 
@@ -32,7 +32,7 @@ def shoot(surface, x, normal, positions=None, couples=None):
     """`cast` with every facet a candidate, unless there are couples."""
     positions = surface.X if positions is None else positions
     couples = all_couples(len(x), len(surface.facets)) if couples is None else couples
-    return cast(surface, positions, x, normal, tangents_of(normal), couples, CandidateSearch(surface))
+    return cast(surface, positions, x, normal, tangents_of(normal), couples)
 
 
 def random_rays(surface, n, seed):
@@ -133,7 +133,7 @@ def test_projection_is_continuous_across_the_facets(cell, order):
     for jump in (np.diff(at.y, axis=0), np.diff(at.ν, axis=0), np.diff(at.g)[:, None]):
         assert np.all(np.linalg.norm(jump, axis=1) < 3 * moved)
     if order == 1:  # what the test is about: here the closest point's normal does jump
-        near = project(surface, surface.X, x, CandidateSearch(surface)(x, surface.X))
+        near = project(surface, surface.X, x, candidates(x, surface.X[surface.facets], 0.0))
         assert np.any(np.linalg.norm(np.diff(near.ν, axis=0), axis=1) > 30 * moved)
 
 
@@ -161,7 +161,7 @@ def test_variation_against_differences(cell, order, contactor_order):
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         x = N1 @ mine
         every = all_couples(20, len(surface.facets))
-        at = cast(surface, theirs, x, normal, tangents, every, CandidateSearch(surface))
+        at = cast(surface, theirs, x, normal, tangents, every)
         return at, x - np.einsum("nk,nki->ni", N_old, theirs[on_old]) - carried(dN_old @ theirs[on_old], ρ)
 
     h = 1e-6
