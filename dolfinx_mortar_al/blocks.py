@@ -19,7 +19,7 @@ from dolfinx_mortar_al.law import OPEN, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.targets import Target
 
-__all__ = ["Blocks", "Tangent", "apply_columns"]
+__all__ = ["Blocks", "Tangent", "apply_columns", "sums_of_products"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -146,26 +146,27 @@ class Blocks:
 
         R, k, K = rows.shape[1], rows.shape[2], columns.shape[2]
         C_U = apply_columns(C[..., :z].reshape(n, R * d, z), columns, d)  # (n, R·d, nodes, d)
-        UU = (np.swapaxes(rows, 1, 2) @ C_U.reshape(n, R, d * K * d)).reshape(n, k, d, K, d)
+        runs, target, extra = self._runs(facet, kinematics, act)
+        UU = sums_of_products(rows, C_U.reshape(n, R, d * K * d), runs).reshape(-1, k, d, K, d)
         C_Λ = C[..., z:].reshape(n, R, d * m)
-        UΛ = ((np.swapaxes(rows, 1, 2) @ C_Λ).reshape(n, k * d, m) @ NΛ).reshape(n, k, d, nodes, m)
+        on_rows = np.swapaxes((np.swapaxes(rows, 1, 2) @ C_Λ).reshape(n, k * d, m), 1, 2)
+        UΛ = sums_of_products(on_rows, NΛ, runs).reshape(-1, k, d, nodes, m)
         r_U = apply_columns(δr[..., :z], columns, d)  # (n, m, nodes, d)
-        ΛU = (np.swapaxes(tests[act], 1, 2) @ r_U.reshape(n, m, K * d)).reshape(n, nodes, m, K, d)
+        ΛU = sums_of_products(tests[act], r_U.reshape(n, m, K * d), runs).reshape(-1, nodes, m, K, d)
 
         ΛΛ_point = law.open_slope(kinematics.at.ν) * self.points.j[:, None, None]
         ΛΛ_point[act] = δr[..., z:]
         ΛΛ = self.points.sum_by_facet(np.swapaxes(tests, 1, 2) @ ΛΛ_point @ self.NΛ)
 
-        runs, target, extra = self._runs(facet, kinematics, act)
         U_rows = np.concatenate([self.contactor[facet[runs]], self.target.blocks[target]], axis=1)
         fixed = np.concatenate([self.fixed[facet[runs]], self.target.fixed[target]], axis=1)
         U_columns = U_rows if extra is None else np.concatenate([U_rows, self.target.blocks[extra]], axis=1)
-        Λ_nodes, UU, UΛ = self.multiplier.blocks[facet[runs]], _add_runs(UU, runs), _add_runs(UΛ, runs)
+        Λ_nodes = self.multiplier.blocks[facet[runs]]
         UU[fixed] = UΛ[fixed] = 0.0
         return Tangent(
             (U_rows, U_columns, UU),
             (U_rows, Λ_nodes, UΛ),
-            (Λ_nodes, U_columns, _add_runs(ΛU, runs)),
+            (Λ_nodes, U_columns, ΛU),
             (self.multiplier.blocks, self.multiplier.blocks, ΛΛ.reshape(len(ΛΛ), nodes, m, nodes, m)),
         )
 
@@ -231,5 +232,23 @@ def apply_columns(C: Array, B: Array, d: int) -> Array:
     return np.swapaxes(np.swapaxes(C.reshape(n, R, z // d, d), 2, 3) @ B[:, None], 2, 3)
 
 
-def _add_runs(values: Array, starts: Index) -> Array:
-    return np.add.reduceat(values, starts, axis=0) if len(starts) else values
+def sums_of_products(A: Array, B: Array, starts: Index) -> Array:
+    """Σ 𝐀ᵀ𝐁 over each run of points, A (n, r, a) and B (n, r, b) to (runs, a, b); `starts`: where the runs begin.
+
+    A run is cut into pieces of at most the mean length of runs, one product each: products of single points are small, and
+    their sum costs more than they do.
+    """
+    (n, r, a), b = A.shape, B.shape[2]
+    if not n:
+        return np.zeros((0, a, b))
+    length = np.diff(np.r_[starts, n])
+    most = int(np.ceil(n / len(length)))
+    pieces = -(-length // most)
+    first = np.cumsum(pieces) - pieces
+    place = np.arange(n) - np.repeat(starts, length)
+    piece, place = np.repeat(first, length) + place // most, place % most
+    shape = (int(pieces.sum()), most)
+    left, right = np.zeros((*shape, r, a)), np.zeros((*shape, r, b))
+    left[piece, place], right[piece, place] = A, B
+    product = np.swapaxes(left.reshape(shape[0], most * r, a), 1, 2) @ right.reshape(shape[0], most * r, b)
+    return np.asarray(np.add.reduceat(product, first, axis=0))

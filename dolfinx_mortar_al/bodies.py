@@ -24,7 +24,7 @@ from dolfinx_mortar_al.moduli import yielding_share
 from dolfinx_mortar_al.petsc_blocks import Layout
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed
-from dolfinx_mortar_al.validation import check_cells, check_residual, listed
+from dolfinx_mortar_al.validation import check_cells, check_residual, compiled, listed
 from dolfinx_mortar_al.versions import geometry_degree, whole_form
 
 __all__ = ["Bodies", "BodyForms"]
@@ -47,7 +47,7 @@ class BodyForms:
         check_residual(F, u)
         self.bcs = list(bcs)
         J = ufl.derivative(F, u) if jacobian is None else jacobian
-        self.F, self.J = (fem.form(whole_form(form, self.mesh)) for form in (F, J))
+        self.F, self.J = (compiled(whole_form(form, self.mesh), F) for form in (F, J))
         self.signature = str(F.signature())
         #: the residual's Constants, and what they were when the problem was made
         self.constants = list(F.constants())

@@ -20,6 +20,7 @@ from dolfinx_mortar_al.membrane import NeoHookeanMembrane
 from dolfinx_mortar_al.validation import (
     check_external,
     check_law,
+    check_linear,
     check_measures,
     check_residual,
     listed,
@@ -139,6 +140,7 @@ class Body:
         """The thickness of a law or form (m), which must be one of u."""
         if isinstance(law, ufl.Form):
             check_residual(law, self.u, name)
+            check_linear(name, law)
             return self.thickness
         if not isinstance(law, Hyperelastic | NeoHookeanMembrane):
             raise ValueError(

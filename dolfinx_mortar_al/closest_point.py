@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot, inverse
-from dolfinx_mortar_al.search import balls
+from dolfinx_mortar_al.search import balls, where
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions, surface_normal
 
-__all__ = ["ClosestPoint", "closest_in_facet", "project"]
+__all__ = ["ClosestPoint", "closest_in_facet", "penetrates", "project"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -56,23 +56,27 @@ def closest_in_facet(shape: ShapeFunctions, nodes: Array, x: Array, η: Array | 
 
 
 def _closest_on_line(shape: ShapeFunctions, nodes: Array, x: Array, η: Array, start: Array, direction: Array) -> Array:
-    """Newton on s ∈ [0, 1] for the curve 𝐲(start + s direction) of each facet; returns η (n, dim)."""
+    """Newton on s ∈ [0, 1] for the curve 𝐲(start + s direction) of each facet, an interval or a side; returns η (n, dim).
+
+    With 𝐱 − 𝐲 = 𝐫 − 𝐜₁ s − 𝐜₂ s² all that the steps need are polynomials in s.
+    """
     s = np.clip((η - start) @ direction / (direction @ direction), 0.0, 1.0)
+    places = np.linspace(0.0, 1.0, shape.order + 1)
+    N = shape.tabulate(start + places[:, None] * direction)[0]
+    c0, c1, *more = np.moveaxis(np.linalg.inv(np.vander(places, increasing=True)) @ N @ nodes, 1, 0)
+    r, c2 = x - c0, more[0] if more else np.zeros_like(c0)
+    terms = np.stack([dot(r, c1), dot(r, c2), dot(c1, c1), dot(c1, c2), dot(c2, c2)])
     active = np.arange(len(s))
     for _ in range(MAX_ITERATIONS):
-        N, dN, ddN = shape.tabulate(start + s[active, None] * direction, 2)
-        Xa = nodes[active]
-        r = x[active] - combine(N, Xa)
-        a = combine(np.einsum("nak,a->nk", dN, direction), Xa)
-        slope = np.einsum("ni,ni->n", r, a)
-        metric = np.einsum("ni,ni->n", a, a)
-        bend = np.einsum("ni,ni->n", r, combine(np.einsum("nabk,a,b->nk", ddN, direction, direction), Xa))
+        (r1, r2, a11, a12, a22), t = terms, s[active]
+        slope = r1 + t * (2 * r2 - a11 - t * (3 * a12 + t * 2 * a22))
+        metric = a11 + 4 * t * (a12 + t * a22)
+        bend = 2 * (r2 - t * (a12 + t * a22))
         # Newton where the distance is convex, Gauss–Newton elsewhere
-        new = s[active] + slope / np.maximum(metric - bend, 0.2 * metric)
-        new = np.clip(new, 0.0, 1.0)
-        moved = np.abs(new - s[active]) > TOLERANCE
+        new = np.clip(t + slope / np.maximum(metric - bend, 0.2 * metric), 0.0, 1.0)
         s[active] = new
-        active = active[moved]
+        moved = np.abs(new - t) > TOLERANCE
+        active, terms = active[moved], terms[:, moved]
         if not active.size:
             break
     return start + s[:, None] * direction
@@ -131,6 +135,19 @@ def project(target: GatheredFacets, positions: Array, x: Array, candidates: Inde
         x: (n, gdim) current contactor points (m).
         candidates: (n, k) facets that may hold the closest point, padded with −1.
     """
+    at = _located(target, positions, x, candidates)
+    _finish(target, positions, at)
+    return at
+
+
+def penetrates(target: GatheredFacets, positions: Array, x: Array, candidates: Index) -> NDArray[np.bool_]:
+    """(n,) whether 𝐱 lies behind a closest point that is not at an end of the target; arguments as of :func:`project`."""
+    at = _located(target, positions, x, candidates)
+    return np.asarray(at.facing & (at.g > 0))
+
+
+def _located(target: GatheredFacets, positions: Array, x: Array, candidates: Index) -> ClosestPoint:
+    """The closest points with their normals and gaps."""
     point = np.arange(len(x))
     row, column, η, distance = _closest_of(target, positions, x, candidates)
     facet = candidates[row, column]
@@ -149,7 +166,6 @@ def project(target: GatheredFacets, positions: Array, x: Array, candidates: Inde
         _turn_to_point(
             at, x, on_side, _meeting_normals(target, positions, facet[meeting], η[meeting], row[meeting], len(x))
         )
-    _finish(target, positions, at)
     return at
 
 
@@ -171,7 +187,7 @@ def _closest_of(
     every: Index = np.arange(len(x))
     begun = look(every, first)
     away[every, first] = np.inf
-    rest = look(*np.nonzero(away <= begun[3][:, None] + MEETING * target.size_of_facets))
+    rest = look(*where(away <= begun[3][:, None] + MEETING * target.size_of_facets))
     row, column = (np.concatenate([begun[k], rest[k]]) for k in (0, 1))
     η, distance = (np.concatenate([begun[k], rest[k]]) for k in (2, 3))
     return row, column, η, distance

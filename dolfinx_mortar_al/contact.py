@@ -583,8 +583,7 @@ class ContactPair(PairResults):
         see of it, which acts on at each point by ε_T: forgotten in each step, it would let stuck points creep."""
         law = self.law
         unspent = law.unspent(self.state, self.kinematics.at) if isinstance(law, Coulomb) else None
-        in_steps = isinstance(self.kinematics, StepLevel)
-        self.kinematics.commit(unspent, None if in_steps else self.state.status == STICK)
+        self.kinematics.commit(unspent, self.state.status == STICK)
         if isinstance(self.kinematics, StepLevel):
             self.kinematics.excuse(*self._decided())
         self._remember()

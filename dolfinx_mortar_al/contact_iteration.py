@@ -150,9 +150,9 @@ class ContactIteration:
         p.evaluate()
         for pair in p.pairs:
             pair.holds_points = False
-        p.add_contact(self._f)
+        p.set_gaps(self._f)
         self._f.axpy(-1.0, self._goal)
-        p.decide(self._f)
+        p.choose(self._f)
 
     def _balance(self, bulk: LinearisedBulk, y: PETSc.Vec) -> float:
         """In f the residual at x − y, its bulk linear from x on, less what may be left; returns its size."""

@@ -140,7 +140,9 @@ class IntegrationPoints:
         count = np.bincount(self.facet, minlength=self.facets.size)
         first = np.cumsum(count) - count
         place = np.minimum(np.arange(count.max(initial=1)), count[facet, None] - 1) + first[facet, None]
-        distance = np.abs(self.η[place] - η[:, None]).sum(axis=2)
+        distance = np.zeros(place.shape)
+        for i in range(η.shape[1]):
+            distance += np.abs(self.η[place, i] - η[:, i, None])
         return np.asarray(place[np.arange(len(facet)), distance.argmin(axis=1)])
 
     def spliced(self, others: IntegrationPoints, keep: NDArray[np.bool_]) -> IntegrationPoints:

@@ -66,22 +66,22 @@ class Predictor:
         linearly and half the way only: too much closed costs more iterations than too little (docs/newton.md). The last
         state itself, where an extrapolated one has inverted cells."""
         self._states[-1]["loads"] = self.problem.loads.snapshot()  # the caller may have moved others since
-        self.restore()
         if len(self._states) < 2:
+            self.restore()
             return
-        problem = self.problem
-        problem.bodies.set(self._extrapolated(("bodies", "u"), abscissa, self._order["bodies", "u"]))
+        problem, order = self.problem, self._order
+        predicted = {name: dict(member) for name, member in self._states[-1].items()}
+        for array in order:
+            predicted[array[0]][array[1]] = self._extrapolated(array, abscissa, order[array])
+        problem.bodies.restore(predicted["bodies"])
         if problem.inverted_volume() > 0:
             self.restore()
             return
-        for k, pair in enumerate(problem.pairs):
-            name = f"pair{k}"
-            predicted = dict(self._states[-1][name])
-            array = name, "multiplier"
-            predicted["multiplier"] = self._extrapolated(array, abscissa, self._order[array])
-            if len(self._states) - self._guesses > 1:
-                predicted["λN_hat"] = self._extrapolated((name, "λN_hat"), (abscissa + self._abscissae[-1]) / 2, 1)
-            pair.restore(predicted)
+        if len(self._states) - self._guesses > 1:
+            for name in (name for name, _ in order if name != "bodies"):
+                half = (abscissa + self._abscissae[-1]) / 2
+                predicted[name]["λN_hat"] = self._extrapolated((name, "λN_hat"), half, 1)
+        problem.restore(predicted)
 
     def _extrapolated(self, array: tuple[str, str], abscissa: float, order: int) -> NDArray[np.float64]:
         """An array of the last order + 1 snapshots, extrapolated to an abscissa by Lagrange's polynomial."""

@@ -299,30 +299,40 @@ class ContactProblem:
 
     def add_contact(self, f: PETSc.Vec) -> None:
         """f ← the bulk's forces and those of contact, as last evaluated."""
-        parts = f.getNestSubVecs()
-        self.bulk_forces.copy(parts[0])
+        forces = f.getNestSubVecs()[0]
+        self.bulk_forces.copy(forces)
         with self.stopwatch("contact"):
-            for pair, part in zip(self.pairs, parts[1:], strict=True):
+            for pair in self.pairs:
+                for blocks, values in pair.body_residual():
+                    insert_vector(forces, blocks, values)
+            forces.assemble()
+        self.set_gaps(f)
+
+    def set_gaps(self, f: PETSc.Vec) -> None:
+        """Of add_contact the multipliers' residuals alone."""
+        with self.stopwatch("contact"):
+            for pair, part in zip(self.pairs, f.getNestSubVecs()[1:], strict=True):
                 part.set(0.0)  # and stays so at redundant nodes, whose value is 0 and whose row is diagonal
                 insert_vector(part, *pair.multiplier_residual(), pair.unit)
                 part.assemble()
-                for blocks, values in pair.body_residual():
-                    insert_vector(parts[0], blocks, values)
-            parts[0].assemble()
             f.assemble()
 
     def decide(self, f: PETSc.Vec) -> bool:
         """Let the active sets change, once per Newton iteration, and bring the residual f up to date with them; whether any
         point opened or closed (collective)."""
-        parts = f.getNestSubVecs()
+        changed = self.choose(f)
+        if changed:
+            self.add_contact(f)
+        return changed
+
+    def choose(self, f: PETSc.Vec) -> bool:
+        """Let the active sets change for the multipliers' residuals in f, which stays as it is; whether any point opened or
+        closed (collective)."""
         with self.stopwatch("contact"):
-            changed = [pair.decide(part) for pair, part in zip(self.pairs, parts[1:], strict=True)]
-            if not any(changed):
-                return False
-            for pair in self.pairs:
+            changed = any([pair.decide(part) for pair, part in zip(self.pairs, f.getNestSubVecs()[1:], strict=True)])
+            for pair in self.pairs if changed else ():
                 pair.apply_law()
-        self.add_contact(f)
-        return True
+        return changed
 
     def follow(self, f: PETSc.Vec) -> None:
         """At the start of a Newton iteration let the pairs choose anew what they hold in between (collective)."""

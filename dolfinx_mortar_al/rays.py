@@ -8,13 +8,16 @@ pair's normal forces have no moment.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+from basix import CellType
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.closest_point import project
-from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot, inverse
-from dolfinx_mortar_al.search import CandidateSearch
+from dolfinx_mortar_al.closest_point import penetrates
+from dolfinx_mortar_al.facet_sides import is_behind
+from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot
+from dolfinx_mortar_al.search import BULGE, across, candidates
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions, surface_normal
 
 __all__ = ["RayHit", "cast", "hits"]
@@ -22,6 +25,7 @@ __all__ = ["RayHit", "cast", "hits"]
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+ALMOST = 1.5e-8  # step in η after which Newton, which squares it, leaves round-off
 EDGE = 1e-9  # how far beyond a facet's sides, in η, a hit still counts: no ray slips through between two facets
 FACING = 0.1  # least cosine between ray and target's normal: flatter hits have no sensible gap
 DEEP = 0.5  # penetration, in facets, beyond which a hit behind the contactor must be confirmed by the closest point
@@ -45,8 +49,7 @@ def cast(
     x: Array,
     normal: Array,
     tangents: Array,
-    candidates: Index,
-    search: CandidateSearch,
+    couples: tuple[Index, Index],
     depth: Array | None = None,
 ) -> RayHit:
     """The nearest valid hit of each point's ray, in front of the contactor or, in penetration, behind it.
@@ -56,12 +59,10 @@ def cast(
         positions: (nodes, gdim) current positions of its nodes (m).
         x: (n, gdim) contactor points (m).
         normal: (n, gdim) the contactor's outward unit normal there; tangents: (n, dim, gdim) its covariant tangents (m).
-        candidates: (n, k) facets that the rays may meet, padded with −1.
-        search: for closest points, where a deep penetration is in doubt.
+        couples: rays (m,), ascending, and facets (m,) that they may meet.
         depth: (n,) penetration (m) beyond which a hit behind the contactor does not count, in place of the closest points.
     """
-    row, column = np.nonzero(candidates >= 0)
-    row, facet, η, d = hits(target.shape, positions[target.facets], x, normal, row, candidates[row, column])
+    row, facet, η, d = hits(target.shape, positions[target.facets], x, normal, *couples)
     a = target.shape.tabulate(η, 1)[1] @ positions[target.facets[facet]]
     m = surface_normal(a) * target.orientation[facet, None]
     cos = dot(m, normal[row]) / np.linalg.norm(m, axis=1)
@@ -77,7 +78,7 @@ def cast(
         through = entry[row[deep]] > d[deep] + limit  # in on one side and out on the other: no need to ask
         outside, doubtful = row[deep[through]], row[deep[~through]]
         if len(doubtful):
-            outside = np.r_[outside, doubtful[~_is_inside(target, positions, x[doubtful], search)]]
+            outside = np.r_[outside, doubtful[~_is_inside(target, positions, x[doubtful])]]
         real = ~(np.isin(row, outside) & (d < 0))
         row, facet, η, d = row[real], facet[real], η[real], d[real]
         nearest = _first_of_each(row, np.abs(d))
@@ -101,31 +102,31 @@ def hits(
 
     `nodes` (nf, k, gdim) are the facets' nodes. Returns row, facet, η (m, dim) and the signed distance d (m,) of each.
     """
-    across = np.swapaxes(_across(normal), 1, 2).copy()
-    c = (nodes[facet] - x[row, None]) @ across[row]  # the line is the origin
-    by_node = np.swapaxes(c, 0, 1).copy()  # NumPy is slow along a short axis that is not the first
-    low, high = by_node.min(axis=0), by_node.max(axis=0)
-    slack = (0.35 if shape.order > 1 else 1e-9) * (
-        high - low
-    )  # a curve leaves its nodes' box, a patch by a third at most
-    near = ((low <= slack) & (high >= -slack)).all(axis=1)
-    row, facet, c = row[near], facet[near], c[near]
-    if shape.dim == 1:
-        which, η = _on_curve(shape, c[:, :, 0])
-    else:
-        which, η = _on_patch(shape, c)
+    axes = np.swapaxes(across(normal), 1, 2).copy()
+    c = (nodes[facet] - x[row, None]) @ axes[row]  # the line is the origin
+    c = np.moveaxis(c, (2, 1), (0, 1)).copy()  # NumPy is slow along a short axis that is not the first
+    near = _may_meet(shape, c)
+    row, facet, c = row[near], facet[near], c[:, :, near]
+    which, η = _on_curve(shape, c[0].T) if shape.dim == 1 else _on_patch(shape, c)
     row, facet = row[which], facet[which]
     d = dot(combine(shape.tabulate(η)[0], nodes[facet]) - x[row], normal[row])
     return row, facet, η, d
 
 
-def _across(normal: Array) -> Array:
-    """(n, dim, gdim) orthonormal vectors normal to `normal` (n, gdim)."""
-    if normal.shape[1] == 2:
-        return np.stack([-normal[:, 1], normal[:, 0]], axis=1)[:, None]
-    first = np.cross(np.eye(3)[np.argmin(np.abs(normal), axis=1)], normal)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(normal, first)], axis=1)
+def _may_meet(shape: ShapeFunctions, c: Array) -> NDArray[np.bool_]:
+    """(m,) whether the origin may lie in facets with nodes at c (dim, k, m): between the nodes' least and largest heights
+    across the facet's sides, as they are in its middle."""
+    heights = [c[0]]
+    if shape.dim == 2:
+        a = shape.tabulate(shape.corners.mean(axis=0)[None], 1)[1][0] @ c  # (2, 2, m)
+        sides = [a[:, 0], a[:, 1]] + ([a[:, 0] - a[:, 1]] if len(shape.corners) == 3 else [])
+        heights = [c[0] * side[1] - c[1] * side[0] for side in sides]
+    near = np.ones(c.shape[2], dtype=bool)
+    for height in heights:
+        low, high = height.min(axis=0), height.max(axis=0)
+        slack = BULGE[shape.order] * (high - low)
+        near &= (low <= slack) & (high >= -slack)
+    return near
 
 
 def _on_curve(shape: ShapeFunctions, c: Array) -> tuple[Index, Array]:
@@ -145,28 +146,59 @@ def _on_curve(shape: ShapeFunctions, c: Array) -> tuple[Index, Array]:
 
 
 def _on_patch(shape: ShapeFunctions, c: Array) -> tuple[Index, Array]:
-    """Newton for Σ_k N_k(η) 𝐜_k = 0 from the middle of each facet, c (m, k, 2); one root at most is found."""
-    η = np.repeat(shape.corners.mean(axis=0)[None], len(c), axis=0)
-    active, converged = np.arange(len(c)), np.zeros(len(c), dtype=bool)
+    """Newton for Σ_k N_k(η) 𝐜_k = 0 from the middle of each facet, c (2, k, m); one root at most is found."""
+    powers, inverse_matrix = _monomials(shape.cell, shape.order)
+    c = inverse_matrix @ c
+    m = c.shape[2]
+    η = np.repeat(shape.corners.mean(axis=0)[:, None], m, axis=1)
+    active, converged = np.arange(m), np.zeros(m, dtype=bool)
     for _ in range(MAX_ITERATIONS):
         if not active.size:
             break
-        N, dN = shape.tabulate(η[active], 1)
-        r, A = combine(N, c[active]), np.swapaxes(dN @ c[active], 1, 2)
-        step = -(inverse(A) @ r[:, :, None])[:, :, 0]
-        step *= np.minimum(1.0, 0.7 / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
-        η[active] += step
-        size, far = np.abs(step).max(axis=1), np.abs(η[active] - 0.5).max(axis=1) > 2.0
-        converged[active] = size < EDGE  # Newton squares it
-        active = active[(size >= EDGE) & ~far]
+        f, fξ, fη = _evaluate(powers, c, η[:, active])
+        determinant = fξ[0] * fη[1] - fξ[1] * fη[0]
+        determinant[determinant == 0.0] = 1e-300
+        step = np.stack([f[1] * fη[0] - f[0] * fη[1], f[0] * fξ[1] - f[1] * fξ[0]]) / determinant
+        size = np.abs(step).max(axis=0)
+        step *= np.minimum(1.0, 0.7 / np.maximum(size, 1e-300))
+        η[:, active] += step
+        far = np.abs(η[:, active] - 0.5).max(axis=0) > 2.0
+        done = (size < ALMOST) | (shape.flat & (size < 0.7))  # a flat facet's first whole step is exact
+        converged[active] = done
+        going = ~(done | far)
+        active, c = active[going], c[:, :, going]
     triangle = len(shape.corners) == 3
-    upper = 1.0 - η.sum(axis=1) if triangle else (1.0 - η).min(axis=1)
-    which = np.flatnonzero(converged & (np.minimum(η.min(axis=1), upper) >= -EDGE))
-    return which, η[which]
+    upper = 1.0 - η.sum(axis=0) if triangle else (1.0 - η).min(axis=0)
+    which = np.flatnonzero(converged & (np.minimum(η.min(axis=0), upper) >= -EDGE))
+    return which, η[:, which].T
+
+
+@cache
+def _monomials(cell: CellType, order: int) -> tuple[Index, Array]:
+    """Exponents (2, k) of the monomials that shape functions of a patch are made of, and the matrix (k, k) from values at the
+    nodes to their coefficients."""
+    powers = [(i, j) for i in range(order + 1) for j in range(order + 1) if cell != CellType.triangle or i + j <= order]
+    exponents, nodes = np.array(powers).T, ShapeFunctions(cell, order).nodes
+    return exponents, np.linalg.inv((nodes[:, :, None] ** exponents).prod(axis=1))
+
+
+def _evaluate(powers: Index, c: Array, η: Array) -> tuple[Array, Array, Array]:
+    """Σ_k 𝐜_k ξ^i η^j and its derivatives with respect to ξ and η, (2, m) each: powers (2, k), c (2, k, m), η (2, m)."""
+    (i, j), (ξ, ζ) = powers, η
+    order = int(powers.max())
+    ones = np.ones_like(ξ)
+    of_ξ, of_ζ = (np.stack([ones, t, t * t][: order + 1]) for t in (ξ, ζ))
+    first, second = of_ξ[i], of_ζ[j]
+    less = np.maximum(powers - 1, 0)
+    dξ, dζ = i[:, None] * of_ξ[less[0]] * second, j[:, None] * first * of_ζ[less[1]]
+    f, fξ, fζ = (np.einsum("dkm,km->dm", c, basis) for basis in (first * second, dξ, dζ))
+    return f, fξ, fζ
 
 
 def _first_of_each(row: Index, key: Array) -> Index:
     """For each row number that occurs, the place where `key` is least."""
+    if (row[1:] > row[:-1]).all():
+        return np.arange(len(row))
     order = np.lexsort([key, row])
     return order[np.r_[True, np.diff(row[order]) > 0]] if len(order) else order
 
@@ -179,8 +211,12 @@ def _first_entry(n: int, row: Index, d: Array, cos: Array) -> Array:
     return entry
 
 
-def _is_inside(target: GatheredFacets, positions: Array, x: Array, search: CandidateSearch) -> NDArray[np.bool_]:
-    """(n,) whether the closest points say that 𝐱 (n, gdim) lies inside the target."""
-    at = project(target, positions, x, search(x, positions))
-    inside: NDArray[np.bool_] = at.facing & (at.g > 0)
+def _is_inside(target: GatheredFacets, positions: Array, x: Array) -> NDArray[np.bool_]:
+    """(n,) whether the closest points say that 𝐱 (n, gdim) lies inside the target. They are looked for where the side of all
+    facets that may hold them does not tell."""
+    near = candidates(x, positions[target.facets], 0.0)
+    inside, known = is_behind(target, positions, x, near)
+    ask = np.flatnonzero(~known)
+    if len(ask):
+        inside[ask] = penetrates(target, positions, x[ask], near[ask])
     return inside

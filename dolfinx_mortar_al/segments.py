@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.clipping import areas, clip, triangulate
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.projection import dot, inverse
+from dolfinx_mortar_al.search import where
 from dolfinx_mortar_al.surface import Facets, GatheredFacets, ShapeFunctions, surface_normal
 
 __all__ = ["Segments", "cuts_on_curve", "images_on_curve", "segments_of"]
@@ -130,7 +131,7 @@ def _near_balls(a: Array, radius_a: Array, b: Array, radius_b: Array) -> tuple[I
     for first in range(0, len(a), batch):
         part = slice(first, first + batch)
         squared = sum((a[part, None, i] - b[None, :, i]) ** 2 for i in range(a.shape[1]))
-        i, j = np.nonzero(squared <= (radius_a[part, None] + radius_b) ** 2)
+        i, j = where(squared <= (radius_a[part, None] + radius_b) ** 2)
         rows.append(first + i)
         columns.append(j)
     return np.concatenate(rows), np.concatenate(columns)

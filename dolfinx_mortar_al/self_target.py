@@ -137,9 +137,8 @@ class _Thickness:
 def _far_side(outer: GatheredFacets, x: Array, normal: Array) -> tuple[TargetPoint, Bool]:
     """Where the rays from 𝐱 (n, gdim) against `normal` leave the undeformed body through its boundary, and (n,) whether one
     was found."""
-    table = ray_candidates(x, normal, outer.X[outer.facets], 0.0)[0]
-    row, column = np.nonzero(table >= 0)
-    row, facet, η, d = hits(outer.shape, outer.X[outer.facets], x, normal, row, table[row, column])
+    nodes = outer.X[outer.facets]
+    row, facet, η, d = hits(outer.shape, nodes, x, normal, *ray_candidates(x, normal, nodes, 0.0)[:2])
     behind = d < -1e-9 * outer.size_of_facets
     row, facet, η, d = row[behind], facet[behind], η[behind], d[behind]
     order = np.lexsort([-d, row])

@@ -133,7 +133,7 @@ class StepLevel(Kinematics):
         self.begin()
         self.set_history(self.end.point)
 
-    def commit(self, unspent: Array | None = None) -> None:
+    def commit(self, unspent: Array | None = None, stuck: Bool | None = None) -> None:
         """The slip is that within a step: none goes on from one to the next."""
 
     def _project(self) -> None:

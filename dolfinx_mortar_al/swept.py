@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import dot, inverse
+from dolfinx_mortar_al.search import where
 from dolfinx_mortar_al.surface import GatheredFacets, surface_normal
 
 __all__ = ["DEPTH", "depth_behind", "passed_obstacle", "passed_through"]
@@ -86,8 +87,10 @@ def _couples(corners: Sequence[Array], x: Sequence[Array], slack: float) -> Iter
     rows = max(1, CHUNK // max(len(near), 1))
     for start in range(0, len(first) if len(near) else 0, rows):
         part = slice(start, start + rows)
-        meets = (first[part, None] <= high[near]) & (last[part, None] >= low[near])
-        point, k = np.nonzero(meets.all(axis=2))
+        meets = np.ones((len(first[part]), len(near)), dtype=bool)
+        for i in range(first.shape[1]):
+            meets &= (first[part, None, i] <= high[near, i]) & (last[part, None, i] >= low[near, i])
+        point, k = where(meets)
         yield start + point, near[k]
 
 

@@ -20,7 +20,7 @@ from dolfinx_mortar_al.closest_point import ClosestPoint, project
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine
 from dolfinx_mortar_al.rays import RayHit, cast
-from dolfinx_mortar_al.search import CandidateSearch, RaySearch
+from dolfinx_mortar_al.search import CandidateSearch, RaySearch, candidates, ray_candidates
 from dolfinx_mortar_al.surface import Facets, Surface
 
 __all__ = ["ContactorPoints", "DeformableTarget", "Place", "RigidTarget", "Target", "target_of"]
@@ -174,13 +174,12 @@ class DeformableTarget(Target):
         assert isinstance(nodes, np.ndarray)
         if not self.uses_rays:
             return project(self.surface, nodes, points.x, self._near(points.x, nodes))
-        return self._cast(points, nodes, self._on_rays, self._near)
+        return self._cast(points, nodes, self._on_rays(points.x, points.normal, nodes))
 
-    def _cast(self, points: ContactorPoints, nodes: Array, rays: RaySearch, near: CandidateSearch) -> RayHit:
-        """What the points' rays meet, with the target's nodes at `nodes` (m)."""
-        x, normal = points.x, points.normal
-        table = rays(x, normal, nodes)
-        return cast(self.surface, nodes, x, normal, points.tangents, table, near, self.depth(points))
+    def _cast(self, points: ContactorPoints, nodes: Array, couples: tuple[Index, Index]) -> RayHit:
+        """What the points' rays meet of the facets in `couples`, with the target's nodes at `nodes` (m)."""
+        x, normal, depth = points.x, points.normal, self.depth(points)
+        return cast(self.surface, nodes, x, normal, points.tangents, couples, depth)
 
     def depth(self, points: ContactorPoints) -> Array | None:
         """(n,) how far behind the points (m) their rays look; None for as far as the closest points confirm."""
@@ -192,16 +191,19 @@ class DeformableTarget(Target):
         return at.point, np.linalg.norm(points.x - at.y, axis=1) <= self.size
 
     def faced(self, points: ContactorPoints, nodes: Array) -> tuple[TargetPoint, NDArray[np.bool_]]:
-        search = CandidateSearch(self.surface)
-        at = self._cast(points, nodes, RaySearch(self.surface), search)
+        couples = ray_candidates(points.x, points.normal, nodes[self.facets], 0.0)[:2]
+        at = self._cast(points, nodes, couples)
         lost = np.flatnonzero(~at.facing)
         if len(lost):
-            near = project(self.surface, nodes, points.x[lost], search(points.x[lost], nodes)).point
+            near = self._closest(points.x[lost], nodes).point
             at.point.facet[lost], at.point.η[lost] = near.facet, near.η
         return at.point, at.facing
 
     def closest(self, x: Array) -> ClosestPoint:
-        return project(self.surface, self._nodes, x, CandidateSearch(self.surface)(x, self._nodes))
+        return self._closest(x, self._nodes)
+
+    def _closest(self, x: Array, nodes: Array) -> ClosestPoint:
+        return project(self.surface, nodes, x, candidates(x, nodes[self.facets], 0.0))
 
     def crossable(self, points: ContactorPoints, which: Index) -> Callable[[Index, Index], NDArray[np.bool_]] | None:
         """Whether points out of `which` (m,) must not pass through facets: a function of both; None if none may."""
@@ -209,8 +211,7 @@ class DeformableTarget(Target):
 
     def at_reference(self, X: Array) -> ClosestPoint:
         """The closest-point map of reference points onto the reference target."""
-        x = self.surface.X
-        return project(self.surface, x, X, CandidateSearch(self.surface)(X, x))
+        return self._closest(X, self.surface.X)
 
     def weights(self, point: TargetPoint) -> Array:
         return self.surface.shape.tabulate(point.η)[0]

@@ -243,7 +243,8 @@ class Unfelt:
         reach = points.reach if spacing is None else spacing[facet]
         deep = at.facing & (at.g > np.where(passed, 0.0, SHARE * longer))
         within = np.zeros(len(deep), dtype=bool)
-        within[deep] = other.inside(points.x[deep], at.y[deep])
+        if self._comm.allreduce(bool(deep.any()), MPI.LOR):
+            within[deep] = other.inside(points.x[deep], at.y[deep])
         silent = points.silent & other.silent[facet]
         return _found(points, passed & silent & ~within, np.where(within, at.g, 0.0), silent, reach, longer)
 

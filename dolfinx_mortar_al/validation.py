@@ -28,11 +28,13 @@ __all__ = [
     "check_external",
     "check_kinetic",
     "check_law",
+    "check_linear",
     "check_measures",
     "check_motions",
     "check_names",
     "check_residual",
     "check_thickness",
+    "compiled",
     "constant_value",
     "joint_thickness",
     "listed",
@@ -191,7 +193,6 @@ def check_residual(F: Any, u: fem.Function, name: str = "F") -> None:
     check_measures(F, name)
     if u not in F.coefficients():
         raise ValueError(f"{name} does not depend on u: is it written with another Function?")
-    _check_linear(name, F)
 
 
 def check_measures(F: ufl.Form, name: str) -> None:
@@ -206,6 +207,20 @@ def check_measures(F: ufl.Form, name: str) -> None:
                 f"{name}: its {kind} integrals have different subdomain_data: write all with measures of the same tags (pass "
                 "dx= to virtual_work and loads)"
             )
+
+
+def compiled(form: ufl.Form, written: ufl.Form, name: str = "F") -> fem.Form:
+    """`form` compiled, or what is wrong with the form that the user has `written`. What the form compiler has in its cache is
+    sound, so that nothing needs to be looked at before.
+
+    Raises:
+        ValueError: on every rank, if the form is not linear in its test function.
+    """
+    try:
+        return fem.form(form)
+    except Exception:
+        check_linear(name, written)
+        raise
 
 
 def check_external(external: Any, u: fem.Function) -> None:
@@ -224,7 +239,7 @@ def check_external(external: Any, u: fem.Function) -> None:
     arguments = external.arguments()
     if len(arguments) != 1 or arguments[0].ufl_function_space() != u.function_space:
         raise ValueError("external: must be linear in the test function of u's space")
-    _check_linear("external", external)
+    check_linear("external", external)
 
 
 def check_dead(external: Any, u: fem.Function) -> None:
@@ -240,7 +255,12 @@ def check_dead(external: Any, u: fem.Function) -> None:
         )
 
 
-def _check_linear(name: str, form: ufl.Form) -> None:
+def check_linear(name: str, form: ufl.Form) -> None:
+    """As far as UFL can tell, a form is linear in its test function.
+
+    Raises:
+        ValueError: if it is not.
+    """
     try:
         ufl.algorithms.compute_form_data(form)
     except ufl.algorithms.check_arities.ArityMismatch as error:
