@@ -7,7 +7,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, quasistatic
-from dolfinx_mortar_al.bodies import Body
+from dolfinx_mortar_al.bodies import BodyForms
 from dolfinx_mortar_al.moduli import yielding_share
 from meshes.two_beams import LOWER_TOP, UPPER_BOTTOM, TwoBeams
 
@@ -26,7 +26,7 @@ def block(cell, order):
 def at_boundary(u, F):
     """yielding_share at this rank's boundary nodes."""
     domain = u.function_space.mesh
-    share = yielding_share(u.function_space, Body(F, u, [], None).stiffness())
+    share = yielding_share(u.function_space, BodyForms(F, u, [], None).stiffness())
     domain.topology.create_connectivity(domain.topology.dim - 1, domain.topology.dim)
     facets = mesh.exterior_facet_indices(domain.topology)
     nodes = fem.locate_dofs_topological(u.function_space, domain.topology.dim - 1, facets)
