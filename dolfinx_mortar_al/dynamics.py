@@ -211,6 +211,8 @@ class _TimeControl(Controller[Step]):
     def clip(self, size: float) -> tuple[float, bool]:
         self._mark = min(self._way.start + self._number * self._way.longest, self._way.to)
         left = self._mark - self._time
+        if np.isclose(left, self._way.longest, rtol=0.0, atol=4 * np.spacing(self._mark)):
+            left = self._way.longest  # whatever the rounding of times, which differs where a march goes on
         parts = max(int(np.ceil(left / (size * self._way.longest) - 1e-9)), 1)  # equal ones: no tiny step is left over
         self._trial = left / parts
         return self._trial / self._way.longest, parts == 1
