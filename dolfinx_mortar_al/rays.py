@@ -66,7 +66,7 @@ def cast(
     a = target.shape.tabulate(η, 1)[1] @ positions[target.facets[facet]]
     m = surface_normal(a) * target.orientation[facet, None]
     cos = dot(m, normal[row]) / np.linalg.norm(m, axis=1)
-    opposed, entry = cos < -FACING, _first_entry(len(x), row, d, cos)
+    opposed = cos < -FACING
     if depth is not None:
         opposed &= d >= -depth[row]
     row, facet, η, d = row[opposed], facet[opposed], η[opposed], d[opposed]
@@ -75,10 +75,7 @@ def cast(
     limit = DEEP * target.size_of_facets
     deep = nearest[d[nearest] < -limit] if depth is None else nearest[:0]
     if len(deep):
-        through = entry[row[deep]] > d[deep] + limit  # in on one side and out on the other: no need to ask
-        outside, doubtful = row[deep[through]], row[deep[~through]]
-        if len(doubtful):
-            outside = np.r_[outside, doubtful[~_is_inside(target, positions, x[doubtful])]]
+        outside = row[deep][~_is_inside(target, positions, x[row[deep]])]
         real = ~(np.isin(row, outside) & (d < 0))
         row, facet, η, d = row[real], facet[real], η[real], d[real]
         nearest = _first_of_each(row, np.abs(d))
@@ -201,14 +198,6 @@ def _first_of_each(row: Index, key: Array) -> Index:
         return np.arange(len(row))
     order = np.lexsort([key, row])
     return order[np.r_[True, np.diff(row[order]) > 0]] if len(order) else order
-
-
-def _first_entry(n: int, row: Index, d: Array, cos: Array) -> Array:
-    """(n,) where the line from each point backwards first enters the target, as signed distance (m); −∞ if nowhere."""
-    entry = np.full(n, -np.inf)
-    enters = (d < 0) & (cos > FACING)
-    np.maximum.at(entry, row[enters], d[enters])
-    return entry
 
 
 def _is_inside(target: GatheredFacets, positions: Array, x: Array) -> NDArray[np.bool_]:
