@@ -141,8 +141,7 @@ class Collision:
             surfaces.append(Surface(domain, tags, body.touches))
         target = surfaces[1] if self.obstacle is None else self.obstacle
         contact = Contact(surfaces[0], target, friction=self.friction)
-        residuals, u = [motion.residual for motion in self.motions], [motion.u for motion in self.motions]
-        self.problem = ContactProblem(residuals, u, contacts=[contact])
+        self.problem = ContactProblem(self.motions, contacts=[contact])
 
     @property
     def energy(self) -> float:
@@ -220,7 +219,7 @@ def watch_steps(scene: Collision, to: float, size: float, *, free: bool = True) 
     scale = one_by_one.sum(), max(np.linalg.norm(start[:, d:], axis=1).sum(), one_by_one.sum() * radius)
     seen, clock, last = Watched(scene.energy), time.process_time(), (0.0, 0.0)
     try:
-        for step in dynamics.march(scene.problem, scene.motions, to=to):
+        for step in dynamics.march(scene.problem, to=to):
             ledger = step.ledger
             seen.above = max(seen.above, ledger.total / seen.energy - 1)
             if free:

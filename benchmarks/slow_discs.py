@@ -162,7 +162,7 @@ def impact(size: float, speed: float, mass: float, step: float, press: float = 0
         rims.append(rim)
         centres.append(fem.form(sign * ρ / total * motion.old[1] * dx))
         loads.append((load, sign * press / total))
-    problem = ContactProblem([m.residual for m in motions], [m.u for m in motions], contacts=[Contact(*rims)])
+    problem = ContactProblem(motions, contacts=[Contact(*rims)])
 
     def move(t: float) -> None:
         for load, largest in loads:
@@ -170,7 +170,7 @@ def impact(size: float, speed: float, mass: float, step: float, press: float = 0
 
     energy, start = sum(sum(m.energies()) for m in motions), motions[0].momenta()[1]
     rows = []
-    for now in dynamics.march(problem, motions, to=RAMP if press else 0.045 * np.sqrt(mass), move=move):
+    for now in dynamics.march(problem, to=RAMP if press else 0.045 * np.sqrt(mass), move=move):
         approach = sum(motion.integral(form) for motion, form in zip(motions, centres, strict=True))
         rows.append((approach, -now.forces[0][1], now.ledger.impact_loss))
     approach, force, loss = np.array(rows).T

@@ -73,11 +73,11 @@ def simulate(args: argparse.Namespace, spin: str, directory: Path) -> tuple:
     ρ, x = DENSITY * THICKNESS, ufl.SpatialCoordinate(mesh) + motion.old
     m, moments = motion.integral(fem.form(ρ * motion.dx)), [fem.form(ρ * x[i] * motion.dx) for i in range(2)]
     said = vars(args) | {"spin": spin}
-    run = output.Run(problem, directory, COLUMNS, said, args.paraview, checkpoint=args.checkpoint, motions=motion)
+    run = output.Run(problem, directory, COLUMNS, said, args.paraview, checkpoint=args.checkpoint)
     start, ledger, until = run.start, run.ledger, args.time or CASES[args.case][4]
     frames, time = [], start
     try:
-        for step in dynamics.march(problem, motion, to=until, start=start, ledger=ledger) if until > start else ():
+        for step in dynamics.march(problem, to=until, start=start, ledger=ledger) if until > start else ():
             time, ledger, (fx, fy) = step.time, step.ledger, step.forces[0]
             (px, py), (cx, cy) = ledger.momentum, (motion.integral(moment) / m for moment in moments)
             run.record(

@@ -74,9 +74,9 @@ def simulate(args: argparse.Namespace, directory: Path) -> output.History:
     mean_velocity = [fem.form(v[0] / (bars.length * bars.height * bars.width) * dx_k) for dx_k in dx]
 
     said = vars(args) | {"step": Δt}
-    run = output.Run(problem, directory, COLUMNS, said, args.paraview, checkpoint=args.checkpoint, motions=motion)
+    run = output.Run(problem, directory, COLUMNS, said, args.paraview, checkpoint=args.checkpoint)
     rest = {"to": args.time, "start": run.start, "ledger": run.ledger}
-    for step in dynamics.march(problem, motion, **rest) if run.start < args.time * (1 - 1e-9) else ():
+    for step in dynamics.march(problem, **rest) if run.start < args.time * (1 - 1e-9) else ():
         (u1, u2), (v1, v2) = ([output.probe(f, X, cells)[0] for X, cells in faces] for f in (u, v))
         (k1, k2), (w1, w2) = ([motion.integral(form) for form in forms] for forms in (kinetic, strain))
         ledger = step.ledger

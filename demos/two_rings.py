@@ -71,7 +71,7 @@ def simulate(args: argparse.Namespace, directory: Path) -> tuple:
         forms += [*motion.energy_forms(dx), fem.form((x[0] * p[1] - x[1] * p[0]) * dx)]
     run = output.Run(problem, directory, COLUMNS, vars(args), args.paraview)
     frames = []
-    for step in dynamics.march(problem, motion, to=args.time):
+    for step in dynamics.march(problem, to=args.time):
         kinetic_1, strain_1, spin_1, kinetic_2, strain_2, spin_2 = (motion.integral(form) for form in forms)
         ledger, (fx, fy) = step.ledger, step.forces[0]
         run.record(

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.fingerprint import differences, fingerprint
 from dolfinx_mortar_al.ledger import Ledger
-from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot
 from dolfinx_mortar_al.ranks import on_root, together
 
@@ -52,17 +51,14 @@ class Checkpoint:
     Args:
         directory: where they are kept; made if missing.
         problem: the problem.
-        motions: of a dynamic run, one per displacement.
 
     Raises:
         OSError: on every rank, if the directory cannot be made.
     """
 
-    def __init__(self, directory: Path | str, problem: ContactProblem, motions: Motion | Sequence[Motion] = ()) -> None:
+    def __init__(self, directory: Path | str, problem: ContactProblem) -> None:
         self._directory, self._problem = Path(directory), problem
-        self._motions = [motions] if isinstance(motions, Motion) else list(motions)
-        problem.members |= {f"motion{k}": motion for k, motion in enumerate(self._motions)}
-        if self._motions:  # what a step keeps at points is part of the state that is loaded
+        if problem.motions:  # what a step keeps at points is part of the state that is loaded
             for pair in problem.pairs:
                 pair.use_steps()
         self._slot, self._serial = 0, 0
@@ -91,7 +87,7 @@ class Checkpoint:
             "ranks": comm.size,
             "at": float(at),
             "ledger": None if ledger is None else asdict(ledger),
-            "problem": fingerprint(self._problem, self._motions),
+            "problem": fingerprint(self._problem),
         }
         together(comm, lambda: self._write(1 - self._slot, said))
         self._slot, self._serial = 1 - self._slot, self._serial + 1
@@ -171,7 +167,7 @@ class Checkpoint:
 
     def _adopt(self, slot: int, header: dict[str, Any], arrays: dict[str, Array]) -> None:
         """Make a set the problem's state, if it is of this problem."""
-        other = differences(header["problem"], fingerprint(self._problem, self._motions))
+        other = differences(header["problem"], fingerprint(self._problem))
         shapes = _shapes(self._arrays()) == _shapes(arrays)
         if not other and not all(self._problem.comm.allgather(shapes)):
             other = ["the state's arrays have other shapes"]

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.ledger import Ledger
 from dolfinx_mortar_al.monitors import Finding
-from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.problem import ContactProblem
 
 __all__ = ["DriftMonitor"]
@@ -37,24 +36,23 @@ class DriftMonitor:
 
     Args:
         problem: of the march.
-        motions: one per body.
         start: the ledger at the start of the march.
     """
 
-    def __init__(self, problem: ContactProblem, motions: Sequence[Motion], start: Ledger) -> None:
-        self._problem, self._motions, self._start = problem, motions, start
+    def __init__(self, problem: ContactProblem, start: Ledger) -> None:
+        self._problem, self._motions, self._start = problem, problem.motions, start
         comm, d = problem.comm, problem.gdim
         self._prescribed = [body.prescribed().x.array > 0 for body in problem.bodies.bodies]
         held = np.any([some.reshape(-1, d).any(axis=0) for some in self._prescribed], axis=0)
         held = np.asarray(comm.allreduce(held.astype(int)) > 0)
         self._any_prescribed = bool(held.any())
-        loaded = any(m.external is not None or m.has_forms for m in motions) or any(
+        loaded = any(m.external is not None or m.has_forms for m in problem.motions) or any(
             p.target.is_rigid for p in problem.pairs
         )
         self._free = ~held & (not loaded)
         reach = [np.abs(body.mesh.geometry.x).max(initial=0.0) for body in problem.bodies.bodies]
         self._reach = comm.allreduce(float(max(reach)), MPI.MAX)
-        self._mass = sum(motion.mass for motion in motions)
+        self._mass = sum(motion.mass for motion in problem.motions)
 
     def look(self, ledger: Ledger, depths: Sequence[float]) -> list[Finding]:
         """What has drifted; `depths` is the penetration of each pair (m) (collective)."""

@@ -11,7 +11,7 @@ is 𝐮_{n+1}: bodies, contact pairs and Newton are those of statics.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,7 +73,6 @@ class _Work:
 
 def march(
     problem: ContactProblem,
-    motions: Motion | Sequence[Motion],
     *,
     to: float,
     start: float = 0.0,
@@ -92,8 +91,7 @@ def march(
     points that have passed through a target. Multipliers are warm-started with those of the last step.
 
     Args:
-        problem: made of the motions, or with their residuals.
-        motions: one per displacement of the problem.
+        problem: made of motions.
         to, start: final and initial time (s).
         move: sets all that depends on time: poses of obstacles, Dirichlet values.
         tolerance: local error of the displacements (m, root mean square over the body where it is largest) by which Δt is
@@ -106,32 +104,30 @@ def march(
         progress: show a progress bar with time, iterations and contact state (rank 0, standard error).
 
     Raises:
-        ValueError: at the call: `to` not after `start`, a tolerance that is not positive, or motions other than those of the
-            problem, one for each displacement.
+        ValueError: at the call: `to` not after `start`, a tolerance that is not positive, or a problem with a body that is no
+            motion.
         StepFailure: on every rank, in a step.
     """
-    all_motions = validation.listed("motions", motions, Motion, "a Motion")
+    motions = problem.motions
+    validation.check_motions(motions, len(problem.bodies.bodies))
     if move is not None:
         validation.check_callable("move", move, "the time")
-    validation.check_motions(all_motions, [body.u for body in problem.bodies.bodies])
-    validation.check_thickness(all_motions, problem.pairs)
     start, smallest = validation.number("start", start), validation.number("smallest", smallest, above=0.0, most=1.0)
     to = validation.number("to", to, above=start, must="the end of the march must be")
     if tolerance is not None:
         tolerance = validation.number("tolerance", tolerance, above=0.0)
-    said = (start, to, tolerance, [float(motion.time_step.value) for motion in all_motions])
+    said = (start, to, tolerance, [float(motion.time_step.value) for motion in motions])
     agreed(problem.comm, "start, to, tolerance, Δt", said)
-    problem.members |= {f"motion{k}": motion for k, motion in enumerate(all_motions)}
-    steps = sorted({float(motion.time_step.value) for motion in all_motions})
+    steps = sorted({float(motion.time_step.value) for motion in motions})
     if len(steps) > 1:
         raise ValueError(f"step = {steps}: all motions of a problem need the same Δt")
-    θ = {motion.theta for motion in all_motions}
+    θ = {motion.theta for motion in motions}
     if len(θ) > 1:
         raise ValueError(f"theta = {sorted(θ)}: all motions of a problem need the same θ")
     event, solver = Event(problem.comm, until), stepping.solver_of(problem, solver, rtol=RTOL)
-    validation.check_kinetic(sum(motion.kinetic_energy() for motion in all_motions))
-    way = _Way(start, to, float(all_motions[0].time_step.value), tolerance, smallest)
-    return _steps(_TimeControl(problem, all_motions, way, move or _stay, solver, ledger, event), progress)
+    validation.check_kinetic(sum(motion.kinetic_energy() for motion in motions))
+    way = _Way(start, to, float(motions[0].time_step.value), tolerance, smallest)
+    return _steps(_TimeControl(problem, way, move or _stay, solver, ledger, event), progress)
 
 
 def _steps(control: _TimeControl, progress: bool) -> Iterator[Step]:
@@ -168,14 +164,13 @@ class _TimeControl(Controller[Step]):
     def __init__(
         self,
         problem: ContactProblem,
-        motions: list[Motion],
         way: _Way,
         move: Callable[[float], None],
         solver: NewtonSolver,
         ledger: Ledger | None,
         event: Event,
     ) -> None:
-        self.problem, self.motions, self.move, self.solver = problem, motions, move, solver
+        self.problem, self.motions, self.move, self.solver = problem, problem.motions, move, solver
         self._way, self.smallest, self._event, self._over = way, way.smallest, event, False
         self._given = ledger
         self._rate: Array | None = None
@@ -184,11 +179,11 @@ class _TimeControl(Controller[Step]):
 
     def begin(self) -> None:
         self.levels = [pair.use_steps() for pair in self.problem.pairs]
-        self._projection = VelocityProjection(self.problem, self.motions)
+        self._projection = VelocityProjection(self.problem)
         self.problem.evaluate()
         now = self._with_state(Ledger(0.0, 0.0) if self._given is None else self._given)
         self.ledger = now if self._given is None else self._given
-        self._drift = DriftMonitor(self.problem, self.motions, now)
+        self._drift = DriftMonitor(self.problem, now)
 
     def leave(self) -> None:
         """The motions' Δt is again what it was."""

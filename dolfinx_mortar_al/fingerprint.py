@@ -21,7 +21,6 @@ from dolfinx_mortar_al.versions import geometry_nodes
 if TYPE_CHECKING:
     from dolfinx_mortar_al.bodies import BodyForms
     from dolfinx_mortar_al.contact import ContactPair
-    from dolfinx_mortar_al.motion import Motion
     from dolfinx_mortar_al.problem import ContactProblem
 
 __all__ = ["Fingerprint", "differences", "fingerprint"]
@@ -32,15 +31,15 @@ HASHED = "#"  # begins what has no words
 Fingerprint = dict[str, str]
 
 
-def fingerprint(problem: ContactProblem, motions: Sequence[Motion]) -> Fingerprint:
+def fingerprint(problem: ContactProblem) -> Fingerprint:
     """The problem's fingerprint, the same on all ranks (collective)."""
-    steps = [motion.time_step for motion in motions]  # may be another when a run goes on
+    steps = [motion.time_step for motion in problem.motions]  # may be another when a run goes on
     mine: Fingerprint = {"ranks": str(problem.comm.size), "states": ", ".join(problem.members)}
     for k, body in enumerate(problem.bodies.bodies):
         mine |= {f"{what} of u[{k}]": said for what, said in _of_body(body, steps).items()}
     for pair in problem.pairs:
         mine |= {f"{what} of pair {pair.name}": said for what, said in _of_pair(pair).items()}
-    for k, motion in enumerate(motions):
+    for k, motion in enumerate(problem.motions):
         mine |= {
             f"density of motion {k}": str([constant_value(ρ) for ρ in motion.densities]),
             f"theta of motion {k}": repr(motion.theta),

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.contact_fields import ContactorFunctions
-from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.picture import picture
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.ranks import on_root, together
@@ -238,7 +237,6 @@ class Run:
         resume: go on with the history of an interrupted run, from this time (or load) in its first column.
         checkpoint: save the steps at asked-for loads or times in the directory, and begin with the last one that an
             interrupted run has saved there (`resume` is then its load or time).
-        motions: of a dynamic run, for the checkpoint.
 
     Attributes:
         start: load, time or path of the problem's state, 0 at its start; ledger: of a dynamic run that goes on.
@@ -253,9 +251,8 @@ class Run:
         paraview: bool = False,
         resume: float | None = None,
         checkpoint: bool = False,
-        motions: Motion | Sequence[Motion] = (),
     ) -> None:
-        self._checkpoint = Checkpoint(directory, problem, motions) if checkpoint else None
+        self._checkpoint = Checkpoint(directory, problem) if checkpoint else None
         saved = None if self._checkpoint is None else self._checkpoint.load()
         if saved is not None:
             resume = saved.at

@@ -89,6 +89,8 @@ class ContactProblem:
         self.stopwatch = Stopwatch()
         contacts = listed("contacts", contacts, Contact, "a Contact")
         said = _bodies_in(F, u)
+        #: those of the bodies that move, in the order of the displacements
+        self.motions = [body for body in said if isinstance(body, Motion)]
         if said:
             bcs = _joined([body.bcs for body in said], bcs)
             F, u = [body.residual for body in said], [body.u for body in said]
@@ -125,6 +127,7 @@ class ContactProblem:
         #: what a snapshot is made of, in the order in which it is restored
         self.members: dict[str, Member] = {"loads": self.loads, "bodies": self.bodies}
         self.members |= {f"pair{k}": pair for k, pair in enumerate(self.pairs)}
+        self.members |= {f"motion{k}": motion for k, motion in enumerate(self.motions)}
         self._touched = [self._pieces_of(pair) for pair in self.pairs]
         with self.stopwatch("bulk"):
             stiffness = self._create_matrices()

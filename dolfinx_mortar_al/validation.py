@@ -33,7 +33,6 @@ __all__ = [
     "check_motions",
     "check_names",
     "check_residual",
-    "check_thickness",
     "compiled",
     "constant_value",
     "joint_thickness",
@@ -269,39 +268,17 @@ def check_linear(name: str, form: ufl.Form) -> None:
         return
 
 
-def check_motions(motions: Sequence[Any], displacements: Sequence[fem.Function]) -> None:
-    """One motion per displacement of the problem.
+def check_motions(motions: Sequence[Any], bodies: int) -> None:
+    """All bodies of a problem are motions.
 
     Raises:
-        ValueError: on a motion of another problem, one passed twice, or one that is missing.
+        ValueError: if one is not.
     """
-    for k, motion in enumerate(motions):
-        if not any(motion.u is u for u in displacements):
-            raise ValueError(
-                f"motions[{k}] moves a displacement that is none of this problem's: make it from the problem's u"
-            )
-        if any(motion.u is other.u for other in motions[:k]):
-            raise ValueError(
-                f"motions[{k}] moves the same displacement as one before: pass one motion per displacement"
-            )
-    if len(motions) != len(displacements):
-        raise ValueError(f"motions: {len(motions)} for {len(displacements)} displacements; pass one each")
-
-
-def check_thickness(motions: Sequence[Any], pairs: Sequence[Any]) -> None:
-    """Contact forces and masses are of bodies of one thickness out of the plane (one that is UFL cannot be looked at).
-
-    Raises:
-        ValueError: where they differ.
-    """
-    for pair in pairs:
-        for k, width in _widths(pair.contact, motions).items():
-            own = pair.contact.thickness
-            if not isinstance(width, ufl.core.expr.Expr) and not math.isclose(own, width, rel_tol=1e-9):
-                raise ValueError(
-                    f"thickness = {width:g} of motions[{k}], but {own:g} of the contact {pair.name!r}: pass the body's to "
-                    "both, or make the problem from the motion"
-                )
+    if len(motions) < bodies:
+        raise ValueError(
+            f"problem: {len(motions)} of its {bodies} displacements move: make it of one motion for each, "
+            "ContactProblem(dynamics.Motion(body, step=…), contacts=…)"
+        )
 
 
 def joint_thickness(contact: Any, name: str, bodies: Sequence[Any]) -> float:

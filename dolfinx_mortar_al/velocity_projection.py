@@ -15,7 +15,6 @@ impulses act along the step's traction; where a sticking point's impulse would l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +26,6 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.blocks import apply_columns
 from dolfinx_mortar_al.contact import ContactPair
 from dolfinx_mortar_al.law import Coulomb
-from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.step_level import StepLevel
@@ -65,13 +63,12 @@ class VelocityProjection:
     """The projection for the bodies and pairs of a problem.
 
     Args:
-        problem: whose pairs have step kinematics.
-        motions: one per body.
+        problem: made of motions; its pairs have step kinematics.
     """
 
-    def __init__(self, problem: ContactProblem, motions: Sequence[Motion]) -> None:
-        self._problem, self._motions = problem, motions
-        self._mass, diagonals = problem.masses([motion.mass_form for motion in motions])
+    def __init__(self, problem: ContactProblem) -> None:
+        self._problem, self._motions = problem, problem.motions
+        self._mass, diagonals = problem.masses([motion.mass_form for motion in problem.motions])
         #: (kg/m²) of each pair's surface
         self._density = [pair.surface_stiffness(diagonals) for pair in problem.pairs]
         self._layouts = [problem.bodies.layout]

@@ -41,8 +41,8 @@ def impact(directory, steps, faults):
     motion.velocity.interpolate(lambda x: np.stack([3 - 20 * (x[1] - 0.1), -3 + 20 * x[0]]))
     plane = obstacles.RigidPlane([0.0, 0.0], [0.0, 1.0])
     contact = Contact(Surface(mesh, tags, RIM), plane, friction=0.3, thickness=0.02)
-    problem = ContactProblem(motion.residual, u, contacts=[contact])
-    checkpoint = Checkpoint(directory, problem, motion)
+    problem = ContactProblem(motion, contacts=[contact])
+    checkpoint = Checkpoint(directory, problem)
     saved = checkpoint.load()
     start, ledger = (saved.at, saved.ledger) if saved else (0.0, None)
     columns = ["time", "kinetic", "strain", "friction", "loss", "spin", "force", "newton_iterations", "wall_time"]

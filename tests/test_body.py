@@ -127,7 +127,7 @@ def test_problem_takes_conditions_and_thickness_from_the_body():
 
 
 def test_motion_makes_the_problem():
-    """A thrown square of two materials: said once, it bounces as with residual, displacement and thicknesses by hand."""
+    """A thrown square of two materials: said once, it bounces as with what a Motion and a Contact take in place of a Body."""
     last = []
     for once in (True, False):
         u, dx, facets = square()
@@ -139,9 +139,9 @@ def test_motion_makes_the_problem():
         else:
             motion = dynamics.Motion(u, two_materials(u, dx), **said, step=2e-2)
             contact = Contact(contactor, FLOOR, thickness=THICKNESS)
-            problem = ContactProblem(motion.residual, u, contacts=[contact])
+            problem = ContactProblem(motion, contacts=[contact])
         motion.velocity.interpolate(lambda x: np.stack([0 * x[0], -3.0 + 0 * x[0]]))
-        last += [list(dynamics.march(problem, motion, to=0.24))[-1].ledger]
+        last += [list(dynamics.march(problem, to=0.24))[-1].ledger]
     assert last[0].impact_loss > 0
     assert last[0].kinetic == pytest.approx(last[1].kinetic, rel=1e-9)
     assert last[0].impact_loss == pytest.approx(last[1].impact_loss, rel=1e-9)

@@ -67,13 +67,13 @@ def scene(comm=MPI.COMM_WORLD, *, step, friction=0.0, size=0.03, dim=2, offset=0
     motion.velocity.x.scatter_forward()
     sides = Surface(domain, facets, 31), Surface(domain, facets, 32)
     contact = Contact(*sides, friction=friction, integration=integration)
-    return ContactProblem(motion.residual, u, contacts=[contact]), motion, cells
+    return ContactProblem(motion, contacts=[contact]), motion, cells
 
 
 def collide(comm=MPI.COMM_WORLD, *, to=0.03, size=0.03, **options):
     problem, motion, _ = scene(comm, size=size, **options)
     energy, momenta = sum(motion.energies()), motion.momenta()
-    return Collision(energy, momenta, size, list(dynamics.march(problem, motion, to=to)))
+    return Collision(energy, momenta, size, list(dynamics.march(problem, to=to)))
 
 
 def check(run, deepest):
@@ -115,18 +115,18 @@ def test_resumed_with_segments(shared_path):
     of the undisturbed run to what Newton leaves."""
 
     def march(problem, motion, start, ledger=None):
-        steps = dynamics.march(problem, motion, start=start, to=start + 4e-3, ledger=ledger)
+        steps = dynamics.march(problem, start=start, to=start + 4e-3, ledger=ledger)
         return [step.ledger for step in steps]
 
     options = {"step": 1e-3, "size": 0.04, "friction": 0.4, "integration": "segments"}
     problem, motion, _ = scene(**options)
-    saved = Checkpoint(shared_path, problem, motion)
+    saved = Checkpoint(shared_path, problem)
     before = march(problem, motion, 0.0)[-1]
     assert np.linalg.norm(problem.pairs[0].force()) > 0
     saved.save(4e-3, before)
     undisturbed = march(problem, motion, 4e-3, before)
     problem, motion, _ = scene(**options)
-    loaded = Checkpoint(shared_path, problem, motion).load()
+    loaded = Checkpoint(shared_path, problem).load()
     for one, other in zip(march(problem, motion, loaded.at, loaded.ledger), undisturbed, strict=True):
         for name in ("kinetic", "strain", "contact"):
             assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-9 * before.total)
@@ -180,10 +180,10 @@ def test_a_thin_plate_is_not_tunnelled(contactor):
         motions.append(motion)
     surfaces = [Surface(*body, 1) for body in (block, plate)]
     contact = Contact(surfaces[contactor], surfaces[1 - contactor])
-    problem = ContactProblem([m.residual for m in motions], [m.u for m in motions], contacts=[contact])
+    problem = ContactProblem(motions, contacts=[contact])
     energy, rejected, momentum, message = sum(motions[0].energies()), 0, 0.0, ""
     try:
-        for step in dynamics.march(problem, motions, to=5e-3):
+        for step in dynamics.march(problem, to=5e-3):
             rejected += step.rejected
             momentum = motions[1].momenta()[1]
             assert step.ledger.total <= energy * (1 + 1e-9)
@@ -205,7 +205,7 @@ def test_a_point_that_comes_into_sight_deep_counts_from_there():
         surfaces.append(Surface(domain, mesh.meshtags(domain, 1, edge, np.full(len(edge), 1, dtype=np.int32)), 1))
         u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
         motions.append(dynamics.Motion(u, materials.neo_hookean(E, NU), density=DENSITY, step=1e-3))
-    problem = ContactProblem([m.residual for m in motions], [m.u for m in motions], contacts=[Contact(*surfaces)])
+    problem = ContactProblem(motions, contacts=[Contact(*surfaces)])
     pair = problem.pairs[0]
     level = pair.use_steps()
 
@@ -244,8 +244,8 @@ def test_a_bystander_does_not_change_the_steps():
             motions.append(dynamics.Motion(u, materials.neo_hookean(E, NU), density=density, step=1e-3))
             motions[-1].velocity.interpolate(lambda x, v=speed: np.outer([0, v], np.ones(x.shape[1])))
         contact = Contact(Surface(*bodies[0][0], 1), Surface(*bodies[1][0], 1))
-        problem = ContactProblem([m.residual for m in motions], [m.u for m in motions], contacts=[contact])
-        chosen.append([step.step for step in dynamics.march(problem, motions, to=3e-3, tolerance=2e-5)])
+        problem = ContactProblem(motions, contacts=[contact])
+        chosen.append([step.step for step in dynamics.march(problem, to=3e-3, tolerance=2e-5)])
     assert min(chosen[0]) < 5e-4
     assert chosen[1] == pytest.approx(chosen[0], rel=1e-6)
 
@@ -275,7 +275,7 @@ def test_steps_by_local_error():
 
     def run(step, tolerance=None):
         problem, motion, _ = scene(step=step, size=0.04, gap=0.12)
-        sizes = [step.step for step in dynamics.march(problem, motion, to=to, tolerance=tolerance)]
+        sizes = [step.step for step in dynamics.march(problem, to=to, tolerance=tolerance)]
         return sizes, motion.velocity.x.array.copy()
 
     _, short = run(2.5e-4)

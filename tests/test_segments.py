@@ -155,13 +155,13 @@ def landing(path=None, resumed=False, to=0.02):
     motion.velocity.interpolate(lambda x: np.stack([0 * x[0], np.full(x.shape[1], -2.0)]), cells0=body.find(UPPER))
     motion.velocity.x.scatter_forward()
     contact = contact_of(mesh, tags, integration="segments")
-    problem = ContactProblem(motion.residual, u, contacts=[contact])
-    start, ledger, keeper = 0.0, None, path and Checkpoint(path, problem, motion)
+    problem = ContactProblem(motion, contacts=[contact])
+    start, ledger, keeper = 0.0, None, path and Checkpoint(path, problem)
     if resumed:
         saved = keeper.load()
         start, ledger = saved.at, saved.ledger
     steps = []
-    for step in dynamics.march(problem, motion, to=to, start=start, ledger=ledger):
+    for step in dynamics.march(problem, to=to, start=start, ledger=ledger):
         steps.append((step, problem.pairs[0].state.p.copy()))
         if keeper and not resumed and len(steps) == 10:
             keeper.save(step.time, step.ledger)

@@ -416,11 +416,11 @@ def flight(size, step, rate=80.0, friction=0.3, to=0.02):
     motion = dynamics.Motion(u, materials.neo_hookean(1e6, 0.3), density=1000.0, step=step)
     motion.velocity.interpolate(lambda x: rate * np.stack([0.3 * x[0] - 0.15 * x[1], 0.1 * x[0] - x[1]]))
     motion.velocity.x.scatter_forward()
-    problem = ContactProblem(motion.residual, u, contacts=[Contact(bore, friction=friction)])
+    problem = ContactProblem(motion, contacts=[Contact(bore, friction=friction)])
     energy, momenta = sum(motion.energies()), motion.momenta()
     touched = rejected = 0
     deepest = 0.0
-    for now in dynamics.march(problem, motion, to=to):
+    for now in dynamics.march(problem, to=to):
         touched += problem.pairs[0].contact_area() > 0
         rejected, deepest = rejected + now.rejected, max(deepest, now.penetration)
     return energy, momenta, now.ledger, touched, rejected, deepest

@@ -57,10 +57,10 @@ def fly(*, velocity=(V, -V), spin=0.0, friction=0.3, gap=0.0, to=0.045, step=1e-
     plane = obstacles.RigidPlane([0.0, 0.0], [0.0, 1.0])
     options = {"friction": friction, "thickness": THICKNESS, "multiplier_order": 2}
     contact = Contact(Surface(mesh, tags, RIM), plane, **options)
-    problem = ContactProblem(motion.residual, u, contacts=[contact])
+    problem = ContactProblem(motion, contacts=[contact])
     before, energy = motion.momenta(), sum(motion.energies())
     move = None if belt is None else (lambda t: plane.move(t * np.asarray(belt)))
-    steps = list(dynamics.march(problem, motion, to=to, move=move))
+    steps = list(dynamics.march(problem, to=to, move=move))
     return Flight(motion, plane, problem, before, energy, steps)
 
 

@@ -57,9 +57,9 @@ def impact(comm=MPI.COMM_WORLD, *, cells=20, step=None, to=0.5, speed=SPEED, dim
     moving.velocity.interpolate(lambda x: np.eye(dim)[:, :1] * speed + 0 * x[:dim], cells0=bodies.find(BAR1))
     moving.velocity.x.scatter_forward()
     contact = Contact(Surface(mesh, facets, FACE1), Surface(mesh, facets, FACE2))
-    problem = ContactProblem(moving.residual, u, contacts=[contact])
+    problem = ContactProblem(moving, contacts=[contact])
     rows = []
-    for now in dynamics.march(problem, moving, to=to):
+    for now in dynamics.march(problem, to=to):
         l, since_touch = now.ledger, now.time - gap / SPEED
         rows.append(
             (since_touch, -now.forces[0][0], l.kinetic + l.strain, l.impact_loss, l.energy_defect, l.momentum[0])

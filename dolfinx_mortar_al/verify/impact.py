@@ -34,9 +34,9 @@ def bar(n: int) -> tuple[dict[str, tuple[float, float]], Effort, int, Any]:
     motion = dynamics.Motion(u, materials.saint_venant_kirchhoff(E, 0.0), density=RHO, step=Δt)
     motion.velocity.x.array.reshape(-1, 2)[:, 0] = -SPEED
     wall = obstacles.RigidPlane([0.0, 0.0], [1.0, 0.0])
-    problem = ContactProblem(motion.residual, u, contacts=[make_contact(Surface(domain, facets, FACE), wall)])
+    problem = ContactProblem(motion, contacts=[make_contact(Surface(domain, facets, FACE), wall)])
     effort, begin, path, ledger = Effort(), perf_counter(), [], None
-    for step in dynamics.march(problem, motion, to=1.4e-4):
+    for step in dynamics.march(problem, to=1.4e-4):
         effort.iterations += step.iterations
         effort.rejected += step.rejected
         ledger = step.ledger
