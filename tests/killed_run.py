@@ -49,7 +49,7 @@ def impact(directory, steps, faults):
     run = output.Run(problem, directory, columns, {}, resume=start)
     if start < 0.06 - 1e-9:
         for step in dynamics.march(
-            problem, motion, to=0.06, start=start, ledger=ledger, move=lambda t: plane.move([0, 0.1 * t])
+            problem, to=0.06, start=start, ledger=ledger, move=lambda t: plane.move([0, 0.1 * t])
         ):
             L = step.ledger
             run.record(
