@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.corners import SharpCorners
 from dolfinx_mortar_al.frames import nodal_normals, rotation
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.kinematics import Kinematics
@@ -56,12 +57,16 @@ class Blocks:
         fixed: Bool,
         target: Target,
         multiplier: MultiplierSpace,
+        corners: SharpCorners | None = None,
     ) -> None:
+        self.corners = corners
         self.target, self.multiplier = target, multiplier
         self.contactor, self.fixed = contactor, fixed
         self.gdim = fixed.shape[2]
         #: (nf, multiplier nodes) nodes whose multiplier is no matter of a facet's open points, None if there are none
         self.left_out: Bool | None = None
+        #: (nf, nodes) nodes that have no part in a facet at a sharp corner, None where there are none
+        self.left_out_at_corners: Bool | None = None
         self.take(points)
 
     def take(self, points: IntegrationPoints) -> None:
@@ -69,6 +74,8 @@ class Blocks:
         self.points = points
         multiplier = self.multiplier
         N = multiplier.shape.tabulate(points.η)[0]
+        if self.corners is not None:  # (n, nodes) integrals of the shape functions about each point
+            self._weights: Array = np.abs(N) * points.j[:, None]
         # (n, nodes, own nodes, components): shape functions, with redundant nodes eliminated
         self._nodal = N[:, :, None, None] * np.moveaxis(multiplier.T, 1, 3)[points.facet]
         self.turn(None)
@@ -76,11 +83,36 @@ class Blocks:
     def turn(self, ν: Array | None) -> None:
         """Let the multiplier's normal part be that along ν (n, gdim), or take its components in global axes (collective)."""
         #: (n, components, nodes × components) the multiplier at each point from its facet's unknowns
-        self.NΛ: Array = self.interpolation(ν)
+        self.NΛ: Array = self._masked(whole := self._interpolation(ν))
+        self._whole = whole
+
+    def leave_out_at_corners(self, closed: Bool) -> bool:
+        """Where the contactor has sharp corners, choose in which facets their nodes have a part, in the multiplier and in its
+        tests, when the points `closed` (n,) are; whether that is a change on this rank (collective)."""
+        if self.corners is None:
+            return False
+        whole, part = (self.points.sum_by_facet(w) for w in (self._weights, self._weights * closed[:, None]))
+        out = self.corners.left_out(whole, part)
+        if self.left_out_at_corners is not None and np.array_equal(out, self.left_out_at_corners):
+            return False
+        self.left_out_at_corners = out
+        self.NΛ = self._masked(self._whole)
+        return True
+
+    def _masked(self, NΛ: Array) -> Array:
+        """The multiplier's interpolation (n, components, nodes × components) without the nodes that have no part in it."""
+        if self.left_out_at_corners is None or not self.left_out_at_corners.any():
+            return NΛ
+        out = np.repeat(self.left_out_at_corners[self.points.facet], self.multiplier.components, axis=1)
+        return np.where(out[:, None], 0.0, NΛ)
 
     def interpolation(self, ν: Array | None) -> Array:
         """(n, components, nodes × components) the multiplier from its facet's unknowns, its normal part along ν (n, gdim); in
         global axes if there is none, or no friction (collective)."""
+        return self._masked(self._interpolation(ν))
+
+    def _interpolation(self, ν: Array | None) -> Array:
+        """The same with all nodes."""
         n, _, nodes, m = self._nodal.shape
         if ν is None or m == 1:
             return np.einsum("nabk,ik->nibk", self._nodal, np.eye(m)).reshape(n, m, nodes * m)

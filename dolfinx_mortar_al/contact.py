@@ -20,6 +20,7 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.active_set import ActiveSet
 from dolfinx_mortar_al.blocks import Blocks, Tangent
 from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.corners import SharpCorners
 from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, degrees_on, segment_degree
 from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
 from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, Coulomb, Frictionless, augmented_normal
@@ -185,7 +186,10 @@ class ContactPair(PairResults):
         self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))
         components = self.gdim if friction else 1
         self.multiplier = MultiplierSpace(self.facets, contact.multiplier_order, components, redundant)
-        self.blocks = Blocks(self.integration, self.contactor_blocks, fixed, self.target, self.multiplier)
+        corners = None
+        if not self.target.is_contactor:  # at a crease the roles decide, and with equal orders both sides count
+            corners = SharpCorners.of(self.facets, contactor, self.multiplier.own, self.comm)
+        self.blocks = Blocks(self.integration, self.contactor_blocks, fixed, self.target, self.multiplier, corners)
         self.active = ActiveSet(self.blocks, self.comm)
         #: whether segments stay where they are, whatever moves
         self.holds_points = False
@@ -522,6 +526,8 @@ class ContactPair(PairResults):
     def apply_law(self) -> None:
         """What eq. (1) says with the active set as it is."""
         k, active = self.kinematics, self.active
+        if self.blocks.leave_out_at_corners(active.closed):
+            self._Λ = self.blocks.multiplier_at_points()
         self.state = self.law.evaluate(self._Λ, k.at, k.s, active.closed, active.frozen)
 
     def decide(self, residual: PETSc.Vec) -> bool:
@@ -668,7 +674,9 @@ class ContactPair(PairResults):
         """(ng,) λ̂_N (Pa) at the Gauss points, which stay where they are while segments move."""
         points = self.gauss
         at = self.target.project(contactor_points(points, self.kinematics.nodes()))
-        Λ = (self.multiplier.at(points.facet, points.η) * self.multiplier.own_nodal()[points.facet]).sum(axis=1)
+        nodal, out = self.multiplier.own_nodal(), self.blocks.left_out_at_corners
+        nodal = nodal if out is None else np.where(out[:, :, None], 0.0, nodal)
+        Λ = (self.multiplier.at(points.facet, points.η) * nodal[points.facet]).sum(axis=1)
         λN = np.einsum("ni,ni->n", at.ν, Λ) if self.contact.friction else Λ[:, 0]
         return augmented_normal(λN, at.g, self.epsilon)
 

@@ -57,6 +57,7 @@ class MultiplierSpace:
     Attributes:
         field: the multiplier, a Function on the facets' own mesh: λ_N (Pa), or Λ in global axes (Pa) with friction.
         shape: its shape functions on a facet.
+        own: (nodes,) which of the displacement's nodes on a facet they are.
         dofs: (nf, nodes) local block dofs, in the order of `shape`'s nodes; blocks: the same, global.
         components: 1 (λ_N) or gdim (Λ).
         redundant: (nf, nodes, components) nodes whose value is extrapolated.
@@ -70,9 +71,9 @@ class MultiplierSpace:
         self.submesh, self._entities = submesh(domain, facets.shape.dim, facets.entities)
         V, self.dofs = self.lagrange(order, components)
         self.field = fem.Function(V, name="multiplier")
-        own = _own_nodes(self.shape, facets.shape)
+        self.own = _own_nodes(self.shape, facets.shape)
         self.blocks = V.dofmap.index_map.local_to_global(self.dofs.ravel()).reshape(self.dofs.shape)
-        self._mark(redundant[:, own])
+        self._mark(redundant[:, self.own])
         self.T = self._extrapolations(self.shape)
 
     def lagrange(self, order: int, components: int) -> tuple[fem.FunctionSpace, NDArray[np.int32]]:

@@ -3,7 +3,7 @@
 import numpy as np
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import compute_midpoints, locate_entities_boundary, meshtags
+from dolfinx.mesh import compute_midpoints, exterior_facet_indices, locate_entities_boundary, meshtags
 from mpi4py import MPI
 
 from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, loads, materials, membrane
@@ -51,11 +51,26 @@ def beams(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, young=E, swap=False, un
     return ContactProblem(F, u, bcs=bcs, contacts=contacts), P
 
 
+def with_sides(domain, tags, height):
+    """Tags of the interface with the upper block's sides in the surface of its bottom."""
+    d = domain.topology.dim - 1
+    domain.topology.create_connectivity(d, d + 1)
+    outer = exterior_facet_indices(domain.topology)
+    y = compute_midpoints(domain, d, outer)[:, 1]
+    contactor = np.union1d(tags.find(UPPER_BOTTOM), outer[(y > 1e-9) & (y < height - 1e-9)])
+    facets = np.concatenate([contactor, tags.find(LOWER_TOP)]).astype(np.int32)
+    values = np.repeat([UPPER_BOTTOM, LOWER_TOP], [len(contactor), len(facets) - len(contactor)]).astype(np.int32)
+    order = np.argsort(facets)
+    return meshtags(domain, d, facets[order], values[order])
+
+
 def blocks(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, pressure=0.0, dim=2, triangles=False, cells=(4, 4), height=0.5,
-           **options):  # fmt: skip
-    """Two stacked blocks on rollers under a dead pressure on top: (problem, pressure in Pa)."""
+           sides=False, **options):  # fmt: skip
+    """Two stacked blocks on rollers under a dead pressure on top: (problem, pressure in Pa); with `sides` those of the upper
+    one are in its surface."""
     built = TwoBeams(height=height, width=0.5, along=cells, across=2, through=2, dim=dim, triangles=triangles)
     domain, _, tags = built.create(comm)
+    tags = with_sides(domain, tags, height) if sides else tags
     u = fem.Function(fem.functionspace(domain, ("Lagrange", order, (dim,))))
     V = u.function_space
 

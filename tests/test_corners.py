@@ -5,15 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import blocks
+from scenes import assert_tangent, blocks, rough, set_field
 from test_projection import curved_surface
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from robustness_model import Model
-from robustness_scenes import Body, Scene, Stage
+from robustness_scenes import UPPER, Body, Scene, Stage, draw
 
 from dolfinx_mortar_al import NewtonSolver, quasistatic
 from dolfinx_mortar_al.closest_point import project
+from dolfinx_mortar_al.corners import _faces
 from dolfinx_mortar_al.search import CandidateSearch
 
 E, DEPTH = 1e3, 0.01  # Pa, m
@@ -75,7 +76,7 @@ def test_past_the_end_and_back(order, simplices, friction, swap, sides):
 @pytest.mark.parametrize("swap", [False, True], ids=["block", "slab"])
 def test_corners_in_the_middle_of_a_facet(swap, sides):
     """Where on the slab's facets of 0.125 m the block's corners meet them changes the force by less than 3 %; facets of a
-    third of the block's width are off by less than 10 % of it (seen: 2.8 % and 1 to 9.7 %, most with the sides)."""
+    third of the block's width are off by less than 2 % of it, the slab's by less than 8 % (seen: 2.5 %; 1.4 and 7 %)."""
     forces = []
     for shift in (0.0, 0.25, 0.5, 0.75):
         stages = [PRESS]
@@ -84,7 +85,91 @@ def test_corners_in_the_middle_of_a_facet(swap, sides):
         assert rejected == 0
         forces.append(force[-1, 1])
     assert np.ptp(forces) < 0.03 * FORCE
-    assert np.allclose(forces, FORCE, rtol=0.1)
+    assert np.allclose(forces, FORCE, rtol=0.08 if swap else 0.02)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("order, simplices", [(1, False), (2, True)])
+def test_open_sides_change_nothing(order, simplices, friction):
+    """Pressed and dragged, three facets on the bottom: with the sides in the surface, forces as without, but for ε, which is
+    a mean over the surface (seen: 1e-4). A corner's multiplier that the open side pulls down takes 8 to 12 % off."""
+    stages, forces, deep = [PRESS, Stage("drag", 3, (0.1, -DEPTH))], [], []
+    for sides in (False, True):
+        scene = block_on_slab(stages, swap=False, sides=sides, friction=friction, order=order, simplices=simplices)
+        model, force, rejected = march(scene)
+        assert rejected == 0
+        forces.append(force)
+        deep.append(model.penetration())
+    assert np.allclose(forces[1], forces[0], rtol=0, atol=3e-4 * FORCE)
+    assert deep[1] < 1.5 * deep[0]
+
+
+def test_a_corner_in_a_drag_does_not_dig_in():
+    """A soft inclined block, dragged with μ = 0.75 over a stiff slab, leans on its leading corner, and the side above turns
+    towards the slab. While that face had as much part in the corner's node as the bottom, the corner was 0.26 facets deep."""
+    scene = draw(9602, 19)
+    model, forces, rejected = march(scene)
+    assert rejected == 0
+    assert model.penetration() < 0.01  # seen: 0.004
+    assert np.allclose(forces[-1], [189.4, 149.7], rtol=2e-3)  # N, as without the sides
+
+
+def test_faces():
+    """A cube's vertex has three; a polygon of twelve sides is round, one of eight has corners."""
+    face, corner = _faces(np.array([7, 3, 7, 7]), np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, 0], [0, 0, 1]]))
+    assert face[1] == -1 and sorted(face[[0, 2, 3]]) == [0, 1, 2] and len(set(corner)) == 1
+    for sides, sharp in ((12, False), (8, True)):
+        angle = 2 * np.pi * np.arange(sides) / sides
+        normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        face, corner = _faces(np.r_[np.arange(sides), np.roll(np.arange(sides), -1)], np.tile(normal, (2, 1)))
+        assert len(corner) == (2 * sides if sharp else 0)
+        assert np.all((face >= 0) == sharp)
+
+
+def test_a_face_that_other_facets_join_is_one():
+    """Facets round a node whose normals turn by 30° from each to the next, 90° in all."""
+    angle = np.deg2rad([0, 60, 90, 30])
+    face, corner = _faces(np.zeros(4, dtype=np.int64), np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    assert len(corner) == 0 and np.all(face == -1)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("tilt, shared", [(0.4, False), (0.8, True)])
+def test_tangent_at_a_corner(tilt, shared, order, friction):
+    """Against differences, with a corner in the target and points of both faces closed; one face is left out or not."""
+    model = Model(block_on_slab([PRESS], swap=False, sides=True, friction=friction, order=order))
+    problem, pair, V = model.problem, model.pair, model.u.function_space
+    X, upper = V.tabulate_dof_coordinates()[:, :2], np.unique(V.dofmap.list[model.cell_tags.find(UPPER)])
+    base, c, s = rough(1e-3, 2)(X), np.cos(tilt), np.sin(tilt)
+    base[upper] += (X[upper] - [0.25, 0.0]) @ [[c, -s], [s, c]] + [0.2, -0.05] - X[upper]  # 0.05 m into the slab
+    free = problem.bodies.bodies[0].prescribed().x.array.reshape(-1, 2) == 0.0
+    base[np.setdiff1d(np.flatnonzero(~free.any(axis=1)), upper)] = 0.0
+    model._driven.x.array[:] = base.ravel()
+    set_field(problem, lambda X: base, clamped=False)
+    pair.evaluate()
+    pair.commit()
+    direction = [lambda X: rough(1.0, 4)(X) * free, rough(1e3, 5)]
+    state = [lambda X: base + rough(1e-4, 6)(X) * free, lambda X: 20.0 * (rough(1.0, 3)(X) + np.array([0.2, 1.0]))]
+
+    def at(h):
+        fields = (lambda X, k=k: state[k](X) + h * direction[k](X) for k in (0, 1))
+        set_field(problem, *fields, clamped=False)
+        problem.pack(problem.x)
+        problem.assemble_residual(problem.x, problem.residual)
+        return [part.array.copy() for part in problem.residual.getNestSubVecs()]
+
+    at(0.0)
+    pair.active.closed = pair.at.facing & (pair.state.λN_hat > 0)
+    if not shared:
+        pair.active.closed &= pair.points()[:, 1] < 0.02  # of the side next to nothing
+    at(0.0)
+    corners, out = pair.blocks.corners, pair.blocks.left_out_at_corners
+    right = pair.facets.X[corners.facet, :, 0].max(axis=1) > 0.24
+    closed = pair.integration.sum_by_facet(pair.active.closed.astype(float)) > 0
+    assert closed[corners.facet[right]].all()
+    assert out[corners.facet[right]].any() != shared
+    assert_tangent(problem, at, lambda: set_field(problem, *direction, clamped=False))
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -5,7 +5,7 @@ import pytest
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
-from scenes import beams, tip
+from scenes import beams, blocks, tip
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, quasistatic
 from meshes.ironing import PUNCH, PUNCH_BOTTOM, PUNCH_TOP, SLAB, SLAB_BOTTOM, SLAB_TOP, Ironing
@@ -28,6 +28,22 @@ def test_together_and_alone(dim, triangles, friction, projection):
     assert np.allclose(together[0], alone[0], rtol=1e-8)
     assert np.allclose(together[1], alone[1], rtol=1e-8, atol=1e-8)
     assert together[2] == pytest.approx(alone[2], rel=1e-12)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_corners_together_and_alone(dim):
+    """A block whose sides are in its surface: facets at an edge may be those of different ranks."""
+    results = []
+    for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
+        problem, p = blocks(comm, order=1, dim=dim, cells=(7, 5), friction=0.3, sides=True)
+        steps = list(quasistatic.march(problem, p, to=2e4, increments=2))
+        pair = problem.pairs[0]
+        left_out = comm.allreduce(int(pair.blocks.left_out_at_corners.sum()))
+        results.append(([step.iterations for step in steps], left_out, pair.largest_pressure(), pair.force()))
+    together, alone = results
+    assert together[:2] == alone[:2] and alone[1] > 0
+    assert together[2] == pytest.approx(alone[2], rel=1e-8)
+    assert np.allclose(together[3], alone[3], rtol=1e-8, atol=1e-6)
 
 
 def ironing(comm, slab_is_contactor):

@@ -72,6 +72,17 @@ def test_patch_in_space(order, triangles, cells, swap):
     assert np.abs(pair.state.p / PRESSURE - 1).max(initial=0.0) < 1e-10
 
 
+@pytest.mark.parametrize("dim, triangles", [(2, False), (3, False), (3, True)], ids=["plane", "box", "simplex"])
+@pytest.mark.parametrize("order, multiplier", [(1, 1), (2, 1), (2, 2)])
+def test_patch_with_the_sides_in_the_surface(order, multiplier, dim, triangles):
+    """Constant pressure up to the edges: open sides have no part in their nodes. It was half as high there before."""
+    options = {"cells": (5, 3) if dim == 2 else (3, 2), "friction": 0.3, "multiplier_order": multiplier}
+    pair = pressed(order=order, dim=dim, triangles=triangles, sides=True, **options)
+    closed = pair.active.closed
+    assert pair.closed_fraction() == pytest.approx(0.5 if dim == 2 else 0.25, rel=1e-9)
+    assert np.abs(pair.state.p[closed] / PRESSURE - 1).max(initial=0.0) < 1e-10
+
+
 @pytest.mark.parametrize("window", [4, 3], ids=["square", "triangle"])
 def test_clipped_polygons_share_out_the_window(window):
     """Cut by random lines into convex cells, a square's or triangle's parts in them have its area, and so have their fans."""
