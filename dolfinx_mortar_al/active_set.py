@@ -26,6 +26,7 @@ Bool = NDArray[np.bool_]
 TRUST = 1.0  # gaps are trusted to this many times their error
 CLOSES = 3.0  # an open point closes beyond this many times what makes a closed one open: closing by mistake costs more
 WEAK = 0.1  # share of the largest pressure below which points of a first, all-closed guess open
+MANY = 0.25  # share of the closed points that the zone's edge does not lose in one iteration
 LOSSES = 2  # times a closed point may slide off the target before it stays open for the rest of a solve
 
 
@@ -53,16 +54,8 @@ class ActiveSet:
         self.trust = TRUST
         self._losses: Index = np.zeros(n, dtype=np.int64)
         self._pardoned = False
-        multiplier, points = blocks.multiplier, blocks.points
-        area = fem.Function(multiplier.field.function_space)
-        np.add.at(
-            area.x.array.reshape(-1, multiplier.components),
-            multiplier.dofs,
-            points.sum_by_facet(points.j[:, None, None] * np.abs(multiplier.at(points.facet, points.η))),
-        )
-        area.x.scatter_reverse(InsertMode.add)
-        self._node_area = area.x.petsc_vec.copy()
-        self._node_area.array[self._node_area.array_r == 0.0] = 1.0  # redundant nodes
+        self._blocks = blocks
+        self._node_area = self._area(np.ones(n, dtype=bool))
 
     def begin(self) -> None:
         """A new solve: gaps are trusted as at first, bounds are free, and points may come back to the target."""
@@ -88,17 +81,20 @@ class ActiveSet:
         gap condition is met, the error e of all gaps. A point that was closed opens where λ̂_N < −`trust`·ε_N e; one
         that was open closes where λ̂_N is CLOSES times as far above zero. As Newton converges e vanishes and what remains is
         eq. (1). A point that faces no target is open.
+
+        Where more than MANY of the closed points would open, the residual is divided by the closed part of the area: it is
+        the closed points' whose mean gap it holds, a small part where facets touch in their middle alone, straight ones on a
+        cylinder.
         """
         before, λ = self.closed, state.λN_hat
         may_close = kinematics.may_close & ~self._left
         if not self.cautious:
             self.closed = may_close & (λ >= 0.0)
             return not np.array_equal(before, self.closed)
-        error = residual.duplicate()
-        error.pointwiseDivide(residual, self._node_area)
-        e = error.norm(PETSc.NormType.NORM_INFINITY) / unit
-        known = εN * (self.trust * e + kinematics.touch)
+        known = self._known(residual, self._node_area, unit, εN, kinematics)
         release, close = -known, CLOSES * known
+        if self._are_many(before & (λ < release)):
+            release = -self._known(residual, self._area(before), unit, εN, kinematics)
         if self._weak_may_open:  # no history: what presses weakly in an all-closed start may open at once
             weak = WEAK * self._comm.allreduce(float(λ[before].max(initial=0.0)), MPI.MAX)
             if known < 0.1 * weak:
@@ -106,6 +102,32 @@ class ActiveSet:
         self._losses += before & ~kinematics.may_close
         self.closed = may_close & (λ >= np.where(before, release, close))
         return not np.array_equal(before, self.closed)
+
+    def _known(self, residual: PETSc.Vec, area: PETSc.Vec, unit: float, εN: float, kinematics: Kinematics) -> float:
+        """Pressure (Pa) that the gaps' error, `residual` per `area` of each node, is worth (collective)."""
+        error = residual.duplicate()
+        error.pointwiseDivide(residual, area)
+        e = error.norm(PETSc.NormType.NORM_INFINITY) / unit
+        return float(εN * (self.trust * e + kinematics.touch))
+
+    def _are_many(self, opening: Bool) -> bool:
+        """Whether the points that open (n,) are more than MANY of the closed ones (collective)."""
+        count = self._comm.allreduce(np.array([opening.sum(), self.closed.sum()]), MPI.SUM)
+        return bool(count[0] > MANY * count[1])
+
+    def _area(self, counts: Bool) -> PETSc.Vec:
+        """∫ |N| for each node over the points that count (n,); 1 where that is nothing (collective)."""
+        multiplier, points = self._blocks.multiplier, self._blocks.points
+        area = fem.Function(multiplier.field.function_space)
+        np.add.at(
+            area.x.array.reshape(-1, multiplier.components),
+            multiplier.dofs,
+            points.sum_by_facet((counts * points.j)[:, None, None] * np.abs(multiplier.at(points.facet, points.η))),
+        )
+        area.x.scatter_reverse(InsertMode.add)
+        vector = area.x.petsc_vec.copy()
+        vector.array[vector.array_r == 0.0] = 1.0
+        return vector
 
     def pardon(self, state: LawState, kinematics: Kinematics) -> bool:
         """Once in a solve that has converged: give points that slid off for good, and penetrate the target now, one more
