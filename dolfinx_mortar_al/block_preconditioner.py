@@ -12,6 +12,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.p_multigrid import FirstOrder
+from dolfinx_mortar_al.petsc_blocks import without_zeros
 from dolfinx_mortar_al.problem import ContactProblem
 
 __all__ = ["BlockPreconditioner", "block_defaults"]
@@ -117,12 +118,13 @@ class BlockPreconditioner:
         scale.reciprocal()
         scale.scale(-1.0)
         S: list[list[PETSc.Mat]] = [[None] * n for _ in range(n)]
+        C = [without_zeros(row[0]) for row in blocks[1:]]
         for j in range(n):
-            B = blocks[0][j + 1].copy()
+            B = without_zeros(blocks[0][j + 1])  # patterns have room for facets that points may come to
             B.diagonalScale(scale, None)
             for i in range(n):
-                S[i][j] = blocks[i + 1][0].matMult(B)
-            S[j][j].axpy(1.0, blocks[j + 1][j + 1], structure=_DIFFERENT)
+                S[i][j] = C[i].matMult(B)
+            S[j][j].axpy(1.0, without_zeros(blocks[j + 1][j + 1]), structure=_DIFFERENT)
         whole = PETSc.Mat().createNest(S, comm=self.problem.comm)
         whole.assemble()
         self._S = whole.convert(PETSc.Mat.Type.AIJ, PETSc.Mat())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
+from dolfinx_mortar_al.petsc_blocks import without_zeros
 from dolfinx_mortar_al.problem import ContactProblem
 
 __all__ = ["LinearisedBulk"]
@@ -19,7 +20,7 @@ class LinearisedBulk:
 
     def __init__(self, problem: ContactProblem) -> None:
         self._problem, self._A = problem, problem.blocks[0][0]
-        self._less = problem.contact_share.copy()  # −C₀
+        self._less = without_zeros(problem.contact_share)  # −C₀
         self._less.scale(-1.0)
 
     def renew(self) -> PETSc.Mat:

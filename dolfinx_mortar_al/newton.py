@@ -382,8 +382,8 @@ class NewtonSolver:
         p, parts = self.problem, []
         if p.floating:
             parts.append(
-                f"{' and '.join(p.unheld())}: press it on, prescribe the motion that is free, add friction, or let it "
-                "move with dynamics.march"
+                f"{' and '.join(p.unheld())}: press it on, prescribe the motion that is free (to slide without friction: "
+                "that of one node, along the surface), add friction, or let it move with dynamics.march"
             )
         elif far := [
             f"{pair.name}: {name} = {ratio * pair.unit:.3g} Pa/m where the bulk suggests {pair.unit:.3g}"

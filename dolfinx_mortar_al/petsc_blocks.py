@@ -10,7 +10,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-__all__ = ["Layout", "empty_matrix", "insert", "insert_vector", "matrix_with_pattern"]
+__all__ = ["Layout", "empty_matrix", "insert", "insert_vector", "matrix_with_pattern", "without_zeros"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -65,6 +65,14 @@ def matrix_with_pattern(layout: Layout, pattern: tuple[Index32, Index32]) -> PET
     A.setBlockSize(layout.components)
     A.setPreallocationCSR((indptr, indices, np.zeros(len(indices))))
     return A
+
+
+def without_zeros(A: PETSc.Mat) -> PETSc.Mat:
+    """A copy of A that stores no zeros: PETSc's products and factors otherwise take them for entries."""
+    indptr, columns, values = A.getValuesCSR()
+    kept = values != 0.0
+    starts = np.r_[0, np.cumsum(kept)][indptr].astype(indptr.dtype)
+    return PETSc.Mat().createAIJ(A.getSizes(), csr=(starts, columns[kept], values[kept]), comm=A.comm)
 
 
 def insert(A: PETSc.Mat, rows: Index, columns: Index, values: Array, factor: float = 1.0) -> None:

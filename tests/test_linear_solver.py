@@ -14,6 +14,7 @@ import scaling
 
 from dolfinx_mortar_al import NewtonSolver, linear_solver, quasistatic
 from dolfinx_mortar_al.p_multigrid import FirstOrder
+from dolfinx_mortar_al.petsc_blocks import without_zeros
 
 
 def solver(problem, kind, **options):
@@ -140,3 +141,19 @@ def test_order_one_below_order_two():
     problem.assemble_jacobian()
     product = problem.blocks[0][0].ptap(first.interpolation).getDiagonal()
     assert product.min()[1] > 0
+
+
+def test_zeros_are_not_stored():
+    """Of the coupling of contact, whose pattern has room to spare: the same matrix, with its other entries alone."""
+    problem, top = scaling.build(scaling.Row(400))
+    newton = solver(problem, "iterative")
+    for _ in scaling.press_and_drag(problem, top, newton, steps=(1, 0)):
+        pass
+    B = problem.blocks[0][1]
+    less = without_zeros(B)
+    values, kept = B.getValuesCSR()[2], less.getValuesCSR()[2]
+    assert np.all(kept != 0.0)
+    assert len(kept) == np.count_nonzero(values)
+    assert problem.comm.allreduce(len(values) - len(kept)) > 0
+    less.axpy(-1.0, B)
+    assert less.norm() == 0.0

@@ -1,13 +1,20 @@
 """The same numbers on any number of ranks: each scene on all ranks together and on every rank by itself."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
+from petsc4py import PETSc
 from scenes import beams, blocks, tip
 
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, quasistatic
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+import scaling
+
+from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, materials, quasistatic
 from meshes.ironing import PUNCH, PUNCH_BOTTOM, PUNCH_TOP, SLAB, SLAB_BOTTOM, SLAB_TOP, Ironing
 from meshes.two_beams import LOWER_TOP, UPPER_BOTTOM
 
@@ -88,6 +95,29 @@ def test_ironing_together_and_alone(slab_is_contactor):
     assert pair.largest_pressure() == pytest.approx(other.largest_pressure(), rel=1e-8)
     assert pair.contact_area() == pytest.approx(other.contact_area(), rel=1e-8)
     assert pair.stick_fraction() == pytest.approx(other.stick_fraction(), rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["direct", "iterative"])
+def test_block_in_space_together_and_alone(kind):
+    """Pressed and dragged with friction, by MUMPS and by FGMRES, whose multigrid is another on each number of ranks."""
+    prefix = f"ranks_{kind}_"
+    PETSc.Options(prefix)["linear_solver"] = kind
+    if kind == "iterative":
+        PETSc.Options(prefix)["ksp_rtol"] = 1e-10
+    results = []
+    for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
+        problem, top = scaling.build(scaling.Row(400), comm)
+        solver = NewtonSolver(problem, rtol=1e-12, prefix=prefix)
+        for _ in scaling.press_and_drag(problem, top, solver, steps=(1, 1)):
+            pass
+        pair = problem.pairs[0]
+        assert solver.linear.iterative == (kind == "iterative") and solver.linear.failures == 0
+        results.append((pair.force(), pair.largest_pressure(), pair.closed_fraction(), pair.stick_fraction()))
+    (force, pressure, *shares), (same, largest, *alone) = results
+    assert abs(force[0]) > 0.1 * force[2]  # friction draws
+    assert np.allclose(force, same, rtol=0.0, atol=1e-8 * np.linalg.norm(same))
+    assert pressure == pytest.approx(largest, rel=1e-8)
+    assert shares == pytest.approx(alone, abs=1e-12)
 
 
 def test_contactor_and_target_on_different_ranks():
