@@ -26,7 +26,7 @@ Bool = NDArray[np.bool_]
 TRUST = 1.0  # gaps are trusted to this many times their error
 CLOSES = 3.0  # an open point closes beyond this many times what makes a closed one open: closing by mistake costs more
 WEAK = 0.1  # share of the largest pressure below which points of a first, all-closed guess open
-MANY = 0.25  # share of the closed points that the zone's edge does not lose in one iteration
+MANY = 0.5  # share of a closed zone that its edge does not lose in one iteration
 LOSSES = 2  # times a closed point may slide off the target before it stays open for the rest of a solve
 
 
@@ -53,19 +53,23 @@ class ActiveSet:
         self.guessed, self.cautious = True, True
         self.trust = TRUST
         self._losses: Index = np.zeros(n, dtype=np.int64)
+        self._were_in_contact: Bool = np.zeros(n, dtype=bool)
         self._pardoned = False
         self._blocks = blocks
         self._node_area = self._area(np.ones(n, dtype=bool))
 
-    def begin(self) -> None:
-        """A new solve: gaps are trusted as at first, bounds are free, and points may come back to the target."""
+    def begin(self, were_in_contact: Bool) -> None:
+        """A new solve: gaps are trusted as at first, bounds are free, and points may come back to the target; (n,) says which
+        points are on facets that were in contact in the last equilibrium."""
         self.trust, self._weak_may_open, self.frozen = TRUST, self.guessed, None
         self._losses[:], self._pardoned = 0, False
+        self._were_in_contact = were_in_contact
 
     def transfer(self, origin: Index) -> None:
         """Other points: each takes over what is known of the former point `origin` (n,), but for slides off the target, where
         segments end, too."""
         self.closed, self._losses = self.closed[origin], np.zeros(len(origin), dtype=np.int64)
+        self._were_in_contact = self._were_in_contact[origin]
         self.frozen = None if self.frozen is None else self.frozen[origin]
 
     @property
@@ -82,9 +86,9 @@ class ActiveSet:
         that was open closes where λ̂_N is CLOSES times as far above zero. As Newton converges e vanishes and what remains is
         eq. (1). A point that faces no target is open.
 
-        Where more than MANY of the closed points would open, the residual is divided by the closed part of the area: it is
-        the closed points' whose mean gap it holds, a small part where facets touch in their middle alone, straight ones on a
-        cylinder.
+        Where more than MANY of those would open that come from the last equilibrium, the residual is divided by the closed
+        part of the area: it is that part's mean gap, and a small part where facets touch in their middle alone, straight ones
+        on a cylinder.
         """
         before, λ = self.closed, state.λN_hat
         may_close = kinematics.may_close & ~self._left
@@ -111,8 +115,9 @@ class ActiveSet:
         return float(εN * (self.trust * e + kinematics.touch))
 
     def _are_many(self, opening: Bool) -> bool:
-        """Whether the points that open (n,) are more than MANY of the closed ones (collective)."""
-        count = self._comm.allreduce(np.array([opening.sum(), self.closed.sum()]), MPI.SUM)
+        """Whether more than MANY of the closed points on facets that were in contact open, (n,) (collective)."""
+        known = self._were_in_contact
+        count = self._comm.allreduce(np.array([(opening & known).sum(), (self.closed & known).sum()]), MPI.SUM)
         return bool(count[0] > MANY * count[1])
 
     def _area(self, counts: Bool) -> PETSc.Vec:

@@ -378,7 +378,7 @@ class ContactPair(PairResults):
         k.commit()
         self._divide()
         self.active.closed = k.may_close & (k.at.g >= -k.touch)
-        self.active.begin()
+        self.active.begin(self._converged.closed[self.integration.facet])
         self.evaluate()
         self._remember()
         self._check_sides()
@@ -446,7 +446,7 @@ class ContactPair(PairResults):
         if isinstance(self.law, Coulomb):
             self.law = replace(self.law, μ=self.friction_coefficient)
         self._divide()
-        self.active.begin()
+        self.active.begin(self._converged.closed[self.integration.facet])
         if self.segments is not None:
             self.segments.begin()
 
