@@ -15,15 +15,15 @@ HEAD = (
     "case",
     "quantity",
     "reference",
-    "source",
     "computed",
     "error",
     "tolerance",
+    "",
     "order",
     "iterations",
     "rejected",
     "s",
-    "",
+    "source",
 )
 SMALLEST = 1e-16  # of the diagrams
 
@@ -48,9 +48,9 @@ def table(lines: Sequence[Row]) -> str:
     for line in lines:
         effort, unit = line.run.effort, f" {line.quantity.unit}" if line.quantity.unit else ""
         text.append(
-            f"| {line.case} | {line.quantity.name} | {line.reference:.6g}{unit} | {line.quantity.source} | {line.value:.6g} "
-            f"| {line.error:.1e} | {line.tolerance:.1e} | {'–' if math.isnan(line.order) else f'{line.order:.1f}'} "
-            f"| {effort.iterations} | {effort.rejected} | {effort.seconds:.1f} | {line.verdict} |"
+            f"| {line.case} | {line.quantity.name} | {line.reference:.6g}{unit} | {line.value:.6g} | {line.error:.1e} "
+            f"| {line.tolerance:.1e} | {line.verdict} | {'–' if math.isnan(line.order) else f'{line.order:.1f}'} "
+            f"| {effort.iterations} | {effort.rejected} | {effort.seconds:.1f} | {line.quantity.source} |"
         )
     return "\n".join(text)
 
