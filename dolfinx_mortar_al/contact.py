@@ -584,6 +584,10 @@ class ContactPair(PairResults):
         k, closed = self.kinematics, self.state.status != OPEN
         return self._unfelt.look(self.integration, k.contactor(), k.at, closed, self._converged)
 
+    def was_in_contact(self) -> bool:
+        """Whether a facet of this rank was in contact in the last converged state."""
+        return bool(self._converged.closed.any())
+
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip, but for what multipliers of the nodes do not
         see of it, which acts on at each point by ε_T: forgotten in each step, it would let stuck points creep."""

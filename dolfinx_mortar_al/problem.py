@@ -38,6 +38,10 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
+LET_GO = (
+    "contact alone held it and does no more, so that nothing says where it is; press it on, hold one of its nodes, or let it "
+    "move with dynamics.march"
+)
 LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
 UNSEEN = 1e-6  # share of round-off in a body's forces below which a load counts as none from the start
 
@@ -417,7 +421,20 @@ class ContactProblem:
         for pair in self.pairs:
             looks += [pair.coarse_integration(), pair.fine_multiplier(), pair.prescribed_overlap(), *pair.unfelt()]
             looks += pair.far_augmentation()
-        return [finding for finding in looks if finding is not None]
+        return [finding for finding in looks if finding is not None] + self._let_go()
+
+    def _let_go(self) -> list[Finding]:
+        """Pieces that contact alone held in the last equilibrium and that nothing touches now (collective)."""
+        here = np.array([(pair.active.closed.any(), pair.was_in_contact()) for pair in self.pairs], dtype=int)
+        now, before = self.comm.allreduce(here.reshape(-1, 2), MPI.SUM).T > 0
+        found = []
+        for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
+            for piece in body.floating:
+                mine = np.array([touched[first + piece.number] for touched in self._touched], dtype=bool)
+                if (before & mine).any() and not (now & mine).any():
+                    name = f"contacts of {piece}"
+                    found.append(Finding(name, 0.0, (), LET_GO, fatal=False))
+        return found
 
     def evaluate(self) -> None:
         """Bring the pairs' contact state, and all that is reported of it, up to date with the displacements."""

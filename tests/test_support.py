@@ -59,6 +59,25 @@ def test_friction_holds_a_pushed_block_and_none_does_not():
         list(quasistatic.march(problem, load, to=LOAD, increments=1, smallest=0.5))
 
 
+def test_a_block_that_is_let_go_is_said():
+    """Held by friction between two plates; as one lifts off the march goes on, and says once that nothing holds the block."""
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [[0, 0], [0.2, 0.1]], [6, 3])
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    plates = [obstacles.RigidPlane([0, 0], [0, 1]), obstacles.RigidPlane([0, 0.1], [0, -1])]
+    sides = [mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (0.0, 0.1)]
+    facets = np.sort(np.concatenate(sides))
+    tags = mesh.meshtags(domain, 1, facets, np.isin(facets, sides[1]).astype(np.int32))
+    contacts = [Contact(Surface(domain, tags, k), plate, friction=0.3, name=f"{k}") for k, plate in enumerate(plates)]
+    problem = ContactProblem(Body(u, materials.neo_hookean(1e6, 0.3)), contacts=contacts)
+    said = []
+    for _ in quasistatic.march(problem, lambda t: plates[1].move([0.0, -0.001 * t]), to=2.0, increments=2, start=0.0):
+        assert problem.pairs[1].closed_fraction() == 1.0
+    for step in quasistatic.march(problem, lambda t: plates[1].move([0.0, 0.01 * t]), to=2.0, increments=2, start=0.0):
+        said += [str(finding) for finding in step.findings]
+    assert len(said) == 1
+    assert said[0].startswith("contacts of the body around X = [0.1")
+
+
 @pytest.mark.parametrize(
     "failures, shares",
     [
