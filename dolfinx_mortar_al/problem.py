@@ -425,6 +425,8 @@ class ContactProblem:
 
     def _let_go(self) -> list[Finding]:
         """Pieces that contact alone held in the last equilibrium and that nothing touches now (collective)."""
+        if not self.floating:
+            return []
         here = np.array([(pair.active.closed.any(), pair.was_in_contact()) for pair in self.pairs], dtype=int)
         now, before = self.comm.allreduce(here.reshape(-1, 2), MPI.SUM).T > 0
         found = []
