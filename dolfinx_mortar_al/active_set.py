@@ -52,6 +52,7 @@ class ActiveSet:
         self.frozen: Array | None = None
         self.guessed, self.cautious = True, True
         self.trust = TRUST
+        self._guess: Bool = self.closed.copy()
         self._losses: Index = np.zeros(n, dtype=np.int64)
         self._were_in_contact: Bool = np.zeros(n, dtype=bool)
         self._pardoned = False
@@ -62,6 +63,7 @@ class ActiveSet:
         """A new solve: gaps are trusted as at first, bounds are free, and points may come back to the target; (n,) says which
         points are on facets that were in contact in the last equilibrium."""
         self.trust, self._weak_may_open, self.frozen = TRUST, self.guessed, None
+        self._guess = self.closed & self.guessed
         self._losses[:], self._pardoned = 0, False
         self._were_in_contact = were_in_contact
 
@@ -69,7 +71,7 @@ class ActiveSet:
         """Other points: each takes over what is known of the former point `origin` (n,), but for slides off the target, where
         segments end, too."""
         self.closed, self._losses = self.closed[origin], np.zeros(len(origin), dtype=np.int64)
-        self._were_in_contact = self._were_in_contact[origin]
+        self._were_in_contact, self._guess = self._were_in_contact[origin], self._guess[origin]
         self.frozen = None if self.frozen is None else self.frozen[origin]
 
     @property
@@ -99,12 +101,13 @@ class ActiveSet:
         release, close = -known, CLOSES * known
         if self._are_many(before & (λ < release)):
             release = -self._known(residual, self._area(before), unit, εN, kinematics)
+        least = np.where(before, release, close)
         if self._weak_may_open:  # no history: what presses weakly in an all-closed start may open at once
             weak = WEAK * self._comm.allreduce(float(λ[before].max(initial=0.0)), MPI.MAX)
             if known < 0.1 * weak:
-                release, self._weak_may_open = weak, False
+                least[before & self._guess], self._weak_may_open = weak, False
         self._losses += before & ~kinematics.may_close
-        self.closed = may_close & (λ >= np.where(before, release, close))
+        self.closed = may_close & (λ >= least)
         return not np.array_equal(before, self.closed)
 
     def _known(self, residual: PETSc.Vec, area: PETSc.Vec, unit: float, εN: float, kinematics: Kinematics) -> float:

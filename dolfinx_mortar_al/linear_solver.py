@@ -26,7 +26,9 @@ __all__ = ["LinearSolver"]
 
 ITERATIVE_ABOVE = 40_000  # displacement unknowns of bodies in space: where FGMRES takes less time than MUMPS
 RTOL = 1e-4  # of FGMRES: Newton takes no more iterations than with factors (docs/scaling.md)
-MOST = 200  # iterations of FGMRES before it counts as failed; good states take up to 30
+MOST = (
+    200  # iterations of FGMRES before it counts as failed, good states take up to 30; solves of a Newton step's contact
+)
 RESTART = 60
 WORKSPACE, TOO_LITTLE_WORKSPACE = 100, (-8, -9)  # % that MUMPS gets beside its estimate; its codes for "not enough"
 TOO_LARGE = (-13, -19)  # MUMPS' codes where memory does not suffice
@@ -34,7 +36,6 @@ SHARE = 0.8  # of the memory that is free, which factors may take
 EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
 COSTS = 3.0  # factorisations that all the solves of a Newton step may cost
 SLOWER = 10.0  # times that an operation of a solve takes as long as one of a factorisation: it waits for the memory
-SOLVES = 60  # of a Newton step, where the solver does not say how many operations it needs (docs/scaling.md)
 
 log = logging.getLogger(__name__)
 _Reason = PETSc.KSP.ConvergedReason
@@ -226,7 +227,7 @@ class LinearSolver:
         """How many times :meth:`apply` costs as much as COSTS factorisations, the same on any number of ranks."""
         pc = (self._factorised() if self.iterative and self._failure is not None else self._ksp).getPC()
         if pc.getType() != "lu" or pc.getFactorSolverType() != "mumps":
-            return SOLVES
+            return MOST
         N, solid = self.problem.bodies.layout.sizes[1], self.is_solid
         # floating-point operations of the factors over twice their entries, as MUMPS counts them on one rank: fits to 10 % in
         # the plane (88 to 42,000 unknowns), to 30 % in space (162 to 2250), where nested dissection has these powers

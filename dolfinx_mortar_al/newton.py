@@ -91,7 +91,7 @@ class NewtonSolver:
         self.problem, self.rtol = problem, number("rtol", rtol, above=0.0, below=1.0)
         self._max_iterations, self._prefix = whole("max_iterations", max_iterations, least=1), prefix
         self.linear = LinearSolver(problem, prefix)
-        self.contact_iteration = ContactIteration(problem, self.linear, self._size)
+        self.contact_iteration = ContactIteration(problem, self.linear, self._size, LONGEST)
         self.snes = self._create()
         problem.linear_solver = self.linear
         self.linear.log()
