@@ -3,7 +3,8 @@
 With 𝐉 = [[A, B], [C, D]] and S = D − C diag(A)⁻¹ B it applies the inverse of [[A, B], [0, S]], A's by one cycle of algebraic
 multigrid. A holds the bodies' stiffness and, of closed points, contact's augmentation ε 𝐁ᵀ𝐁; S has the multipliers' unknowns
 alone and is factorised. Rigid motions of the current positions are what multigrid must not lose: all bodies' together say the
-same of an aggregate, which lies in one of them, as each body's own would.
+same of an aggregate, which lies in one of them, as each body's own would. Aggregates are therefore those of the bodies alone,
+A without contact's share: one with nodes of both surfaces would have no coarse motion for their sliding.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from dolfinx_mortar_al.problem import ContactProblem
 
 __all__ = ["BlockPreconditioner", "block_defaults"]
 
-_DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+_DIFFERENT, _SUBSET = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 
 AMG: dict[str, str | float] = {
     "pc_type": "gamg",
@@ -82,12 +83,11 @@ class BlockPreconditioner:
         A = p.blocks[0][0]
         if new:
             self._reset()
-        if self._first is None:
-            _say_rigid_motions(A, self._positions())
-        else:
-            self._set_up_coarse(A, new)
-        self._bulk.setOperators(A)
-        self._bulk.setUp()
+        if new and p.pairs:
+            A.axpy(-1.0, p.contact_share, structure=_SUBSET)
+            self._set_up_bulk(A)
+            A.axpy(1.0, p.contact_share, structure=_SUBSET)
+        self._set_up_bulk(A)
         self.renew_surface(A)
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
@@ -107,6 +107,15 @@ class BlockPreconditioner:
         x.assemble()
 
     # ---------------------------------------------------------------- parts
+
+    def _set_up_bulk(self, A: PETSc.Mat) -> None:
+        """Multigrid for A, on the coarse spaces that it has, if any."""
+        if self._first is None:
+            _say_rigid_motions(A, self._positions())
+        else:
+            self._set_up_coarse(A)
+        self._bulk.setOperators(A)
+        self._bulk.setUp()
 
     def renew_surface(self, A: PETSc.Mat) -> None:
         """Bring S up to date with the problem's matrix and this block of displacements, of which the diagonal is asked for
@@ -136,6 +145,7 @@ class BlockPreconditioner:
     def _reset(self) -> None:
         """Forget the multigrid of an earlier pattern."""
         self._bulk.reset()
+        self._coarse = None
         if self._first is not None:
             pc = self._bulk.getPC()
             pc.setType("mg")
@@ -143,10 +153,10 @@ class BlockPreconditioner:
             pc.setMGInterpolation(1, self._first.interpolation)
         self._bulk.setFromOptions()
 
-    def _set_up_coarse(self, A: PETSc.Mat, new: bool) -> None:
+    def _set_up_coarse(self, A: PETSc.Mat) -> None:
         assert self._first is not None
         P = self._first.interpolation
-        self._coarse = A.ptap(P) if new or self._coarse is None else A.ptap(P, result=self._coarse)
+        self._coarse = A.ptap(P) if self._coarse is None else A.ptap(P, result=self._coarse)
         _say_rigid_motions(self._coarse, self._first.positions())
         self._bulk.getPC().getMGCoarseSolve().setOperators(self._coarse)
 
