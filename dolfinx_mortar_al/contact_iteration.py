@@ -31,7 +31,6 @@ __all__ = ["ContactIteration"]
 ENOUGH = 0.01  # of the residual that Newton's step started from: the bulk's nonlinearity leaves as much
 CHORD = 0.2  # of the residual: steps with an old derivative go on while each leaves less
 CHORDS, SOLVES = 3, 8  # at most so many of them in a Newton step, and solves in each
-GROWTH, LEAST = 2.0, 0.125  # of the residual in a semi-smooth step; the share of a step that is taken in any case
 LINEAR = 0.1  # relative tolerance of GMRES: with 0.01 a fifth less steps for a fifth more solves
 
 
@@ -63,7 +62,7 @@ class ContactIteration:
     ) -> None:
         self.problem, self._linear, self._size, self._longest = problem, linear, size, longest
         self.steps = self.solves = 0
-        self._z, self._step, self._total, self._trial = (problem.x.duplicate() for _ in range(4))
+        self._z, self._step, self._total = (problem.x.duplicate() for _ in range(3))
         self._f, self._goal = problem.residual.duplicate(), problem.residual.duplicate()
         self._forces = problem.bulk_forces.duplicate()
         self._at_z = False
@@ -110,31 +109,17 @@ class ContactIteration:
             matrix = bulk.renew()
             self._linear.renew_contact(matrix)
             left -= self._solve(matrix, left)
-            size = self._take_step(bulk, y, size)
+            self._total.axpy(1.0, self._step)
+            z.axpy(-1.0, self._step)
+            self._evaluate()
+            self._step.waxpy(1.0, y, self._total)
+            size = self._balance(bulk, self._step)
             patterns.append(p.contact_pattern())
         corrected = may_correct and self._correct(bulk, start)
         if len(patterns) == 1 and not corrected:
             return None
         self._at_z = False
         return self._total
-
-    def _take_step(self, bulk: LinearisedBulk, y: PETSc.Vec, size: float) -> float:
-        """Go on by the semi-smooth step, or by a share of it where all of it would enlarge the residual's `size` by more than
-        GROWTH; returns that size then."""
-        decisions, share = [pair.decisions() for pair in self.problem.pairs], 1.0
-        self._total.axpy(1.0, self._step)
-        self._z.axpy(-1.0, self._step)
-        while True:
-            self._evaluate()
-            self._trial.waxpy(1.0, y, self._total)
-            now = self._balance(bulk, self._trial)
-            if now <= GROWTH * size or share <= LEAST:
-                return now
-            for pair, saved in zip(self.problem.pairs, decisions, strict=True):
-                pair.undo_decisions(saved)
-            share /= 2
-            self._total.axpy(-share, self._step)
-            self._z.axpy(share, self._step)
 
     def _correct(self, bulk: LinearisedBulk, start: float) -> bool:
         """Steps from z with the bulk's derivative at x, as long as each leaves a share CHORD of the residual or less; whether
