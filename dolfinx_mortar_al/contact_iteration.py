@@ -62,7 +62,7 @@ class ContactIteration:
     ) -> None:
         self.problem, self._linear, self._size, self._longest = problem, linear, size, longest
         self.steps = self.solves = 0
-        self._z, self._step, self._total = (problem.x.duplicate() for _ in range(3))
+        self._z, self._step, self._total, self._best = (problem.x.duplicate() for _ in range(4))
         self._f, self._goal = problem.residual.duplicate(), problem.residual.duplicate()
         self._forces = problem.bulk_forces.duplicate()
         self._at_z = False
@@ -104,7 +104,8 @@ class ContactIteration:
             return None
         bulk, left = LinearisedBulk(p), 0 if settled else self._linear.affordable_solves()
         self._total.set(0.0)
-        size = self._balance(bulk, y)
+        size = least = self._balance(bulk, y)
+        self._keep()
         while left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
             matrix = bulk.renew()
             self._linear.renew_contact(matrix)
@@ -115,11 +116,30 @@ class ContactIteration:
             self._step.waxpy(1.0, y, self._total)
             size = self._balance(bulk, self._step)
             patterns.append(p.contact_pattern())
+            if size < least:
+                least = size
+                self._keep()
+        if size > least:
+            self._go_back()
         corrected = may_correct and self._correct(bulk, start)
         if len(patterns) == 1 and not corrected:
             return None
         self._at_z = False
         return self._total
+
+    def _keep(self) -> None:
+        """Remember the state: of those on the way the one with the least residual is what counts."""
+        self._total.copy(self._best)
+        self._chosen = [pair.decisions() for pair in self.problem.pairs]
+
+    def _go_back(self) -> None:
+        """To the state that was kept."""
+        self._z.axpy(1.0, self._total)
+        self._best.copy(self._total)
+        self._z.axpy(-1.0, self._total)
+        for pair, saved in zip(self.problem.pairs, self._chosen, strict=True):
+            pair.undo_decisions(saved)
+        self._evaluate()
 
     def _correct(self, bulk: LinearisedBulk, start: float) -> bool:
         """Steps from z with the bulk's derivative at x, as long as each leaves a share CHORD of the residual or less; whether

@@ -160,9 +160,9 @@ def test_zeros_are_not_stored():
 
 
 def test_sliding_asks_no_more_of_multigrid_than_sticking():
-    """Aggregates hold nodes of one side of the surface alone, so that the coarse spaces know the sides' sliding: 21 iterations
-    to 1e-8 while all points slide (seen), 24 while most stick; 26 where aggregates hold both sides. Contact settles by 105
-    applications of the preconditioner in five Newton iterations, each of which may take 200."""
+    """Aggregates hold nodes of one side of the surface alone, so that the coarse spaces know the sides' sliding: seen are 21
+    iterations to 1e-8 while all points slide and 24 while most stick, 26 where aggregates hold both sides. Contact settles by
+    105 applications of the preconditioner in five Newton iterations, each of which may take 200."""
     problem, top = scaling.build(scaling.Row(1e4))
     newton = solver(problem, "iterative", ksp_rtol=1e-8)
     counts = [0]
