@@ -191,7 +191,7 @@ class Bodies:
         first = np.cumsum([0, *(body.pieces for body in self.bodies)])
         self.first_piece, self.pieces = first[:-1], int(first[-1])
         owned = [body.piece[: body.owned] + start for body, start in zip(self.bodies, first, strict=False)]
-        self._piece_of_dof = np.repeat(np.concatenate(owned), self.gdim)
+        self.piece_of_dof = np.repeat(np.concatenate(owned), self.gdim)
         self._free_axes: Array | None = None  # the conditions are those of the start
 
     def index(self, domain: mesh.Mesh) -> int:
@@ -299,10 +299,10 @@ class Bodies:
             free = np.ones((self.pieces, self.gdim))
             for body, first in zip(self.bodies, self.first_piece, strict=True):
                 np.minimum.at(free, body.piece + first, 1.0 - body.prescribed().x.array.reshape(-1, self.gdim))
-            nodes = np.bincount(self._piece_of_dof, minlength=self.pieces) / self.gdim
+            nodes = np.bincount(self.piece_of_dof, minlength=self.pieces) / self.gdim
             self._free_axes = -self._largest(-free) / np.sqrt(self.comm.allreduce(nodes, MPI.SUM))[:, None]
         sums = np.zeros((self.pieces, self.gdim))
-        np.add.at(sums, self._piece_of_dof[:: self.gdim], values.reshape(-1, self.gdim))
+        np.add.at(sums, self.piece_of_dof[:: self.gdim], values.reshape(-1, self.gdim))
         return np.asarray(np.abs(self._free_axes * self.comm.allreduce(sums, MPI.SUM)).max(axis=1))
 
     def spring_shares(self, diagonals: Sequence[fem.Function], touched: Sequence[NDArray[np.bool_]]) -> Array:
@@ -313,11 +313,11 @@ class Bodies:
         for pieces in touched:
             softest = largest[pieces].min(initial=np.inf)
             np.minimum(share, softest / np.maximum(largest, 1e-300), out=share, where=pieces)
-        return share[self._piece_of_dof]
+        return share[self.piece_of_dof]
 
     def norms(self, values: Array) -> Array:
         """(pieces,) norm of nodal values (owned dofs,) on each piece (collective)."""
-        squares = np.bincount(self._piece_of_dof, weights=values**2, minlength=self.pieces)
+        squares = np.bincount(self.piece_of_dof, weights=values**2, minlength=self.pieces)
         return np.asarray(np.sqrt(self.comm.allreduce(squares, MPI.SUM)))
 
     def residual(self, b: PETSc.Vec) -> Array:

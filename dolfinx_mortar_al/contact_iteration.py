@@ -146,7 +146,7 @@ class ContactIteration:
         any was taken."""
         p, taken = self.problem, 0
         for _ in range(CHORDS):
-            p.force_scale = p.bodies.residual(p.bulk_forces)
+            p.assemble_bulk()
             p.add_contact(self._f)
             size = self._size(self._f)
             if not 1.0 < size < CHORD * start:

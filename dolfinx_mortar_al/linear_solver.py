@@ -17,6 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.block_preconditioner import BlockPreconditioner, block_defaults
@@ -64,6 +65,7 @@ class LinearSolver:
         self.iterative = problem.spare_pattern = self._choose()
         self._workspace = WORKSPACE
         self.iterations = self.solves = self.failures = 0
+        self.forget_ties()
 
     def _choose(self) -> bool:
         """Whether to iterate: as the options say, or by the number of unknowns that fill makes dear.
@@ -208,10 +210,47 @@ class LinearSolver:
         """x ← the inverse, or FGMRES' approximation of it, of the bodies' last Jacobian times b."""
         if not self.iterative:
             self._ksp.getPC().getFactorMatrix().solve(b, x)
+            self.add_ties(x)
         elif self._failure is None:
             self._blocks.apply(self._ksp.getPC(), b, x)
         else:
             self._factorised().getPC().getFactorMatrix().solve(b, x)
+
+    def forget_ties(self) -> None:
+        """The Jacobian is another one."""
+        self._ties: list[PETSc.Vec] | None = None
+
+    def response(self, forces: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(owned dofs,) displacements that nodal forces (owned dofs,) lead to, with the Jacobian solved with last
+        (collective)."""
+        right, y = self.problem.x.duplicate(), self.problem.x.duplicate()
+        right.set(0.0)
+        right.getNestSubVecs()[0].array[:] = forces
+        right.assemble()
+        self._ksp.solve(right, y)
+        return np.asarray(y.getNestSubVecs()[0].array_r.copy())
+
+    def add_ties(self, y: PETSc.Vec) -> None:
+        """y = 𝐀⁻¹𝐫 with the sparse Jacobian 𝐀 becomes (𝐀 + ∑ κ 𝐦⊗𝐦)⁻¹𝐫 with the problem's ties: Sherman, Morrison
+        and Woodbury's formula (collective)."""
+        ties = self.problem.ties
+        if ties is None or not ties.acts:
+            return
+        if self._ties is None:
+            self._ties = []
+            for m in ties.motions:
+                right, z = y.duplicate(), y.duplicate()
+                right.set(0.0)
+                right.getNestSubVecs()[0].array[:] = m
+                right.assemble()
+                self._ksp.solve(right, z)
+                self._ties.append(z)
+            u = [z.getNestSubVecs()[0].array_r for z in self._ties]
+            flexibility = np.stack([ties.times(v) for v in u], axis=1)
+            self._inner = np.linalg.inv(np.diag(1.0 / ties.stiffness) + flexibility)
+        amount = self._inner @ ties.times(y.getNestSubVecs()[0].array_r)
+        for a, z in zip(amount, self._ties, strict=True):
+            y.axpy(-float(a), z)
 
     def renew_contact(self, matrix: PETSc.Mat) -> None:
         """Contact's share has changed, which makes the Jacobian this `matrix`: bring up to date what costs little."""

@@ -37,6 +37,8 @@ class LinearisedBulk:
         """f ← K u."""
         self._A.mult(u, f)
         self._less.multAdd(u, f, f)
+        if (ties := self._problem.ties) is not None:
+            f.array[:] += ties.pull(u.array_r)
 
     # ---------------------------------------------------------------- PETSc's interface
 

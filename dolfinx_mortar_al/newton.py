@@ -39,6 +39,10 @@ WANDERS_AFTER, SETTLED = (
     8,
     3,
 )  # iterations without progress, the last with no point opened or closed: then bounds are frozen
+HELD = 0.9  # share of what a tie bore, of which it bears less at the next place where something resists the slide
+PUSHED = 0.01  # of the contact forces: what loads push with must be resisted by more than a tie
+SLIDES = 0.1  # of the contact forces: what is left of a coarse mesh's pressures along a slide is less
+MAX_MOVES = 20  # places that a sliding piece is tied to in a solve
 GIVES_UP_AFTER, NO_PROGRESS = 16, 0.1  # as it is when five iterations in a row have relative residuals above this
 
 
@@ -126,8 +130,10 @@ class NewtonSolver:
         self._patterns: list[int] = []
         self._cycles, self._damping, self._freezes, self._whole_step = 0, 1.0, 0, True
         self._law_since, self._set_since, self._freed = 0, 0, False
+        self._borne, self._moves, self._stride = np.nan, 0, 0.0
         for pair in p.pairs:
             pair.begin()
+        p.start_ties()
         self._linear_start = p.stopwatch.clock()
         self._tension = FIRST_TENSION if p.lacks_stiffness else 0.0
         p.pack(p.x)
@@ -145,6 +151,8 @@ class NewtonSolver:
         self.result.converged = reason > 0
         if reason > 0:
             p.unpack(p.x)
+            if p.ties is not None and self.result.iterations > 0:
+                p.ties.measure(self.linear.response)
             if p.inverted_volume() > 0:
                 self.result.converged = False
                 self.result.message = "an inverted cell (det F ≤ 0) in the converged state"
@@ -174,6 +182,7 @@ class NewtonSolver:
         first, last = max(self.result.norms[0]), max(self.result.norms[-1])
         self.problem.spring_share = SPRING * min(first, last) / max(first, 1e-300)
         self.problem.assemble_jacobian()
+        self.linear.forget_ties()
         if self.problem.matrix.handle != A.handle:  # a new pattern
             snes.setJacobian(self._jacobian, self.problem.matrix)
         self._linear_start = self.problem.stopwatch.clock()
@@ -201,8 +210,11 @@ class NewtonSolver:
             pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs
         ):
             pardoned = [pair.active.pardon(pair.state, pair.kinematics) for pair in self.problem.pairs]
-            if not any(pardoned) and not self._bounds_are_stale(iteration):
+            if not any(pardoned) and not self._bounds_are_stale(iteration) and not self._slides(iteration):
                 return _Reason.CONVERGED_FNORM_ABS
+            if self._moves > MAX_MOVES:
+                self.result.message = f"nothing resists a slide, {MAX_MOVES} places on"
+                return _Reason.DIVERGED_LOCAL_MIN
             if self._freezes > MAX_FREEZES:
                 self.result.message = f"the friction bounds do not come to rest after {MAX_FREEZES} rounds"
                 return _Reason.DIVERGED_LOCAL_MIN
@@ -282,11 +294,38 @@ class NewtonSolver:
         self.problem.reconsider(self.snes.getFunction()[0])
         return True
 
+    def _slides(self, iteration: int) -> bool:
+        """A state has converged with pieces tied to where they were: tie them to where they are, or farther on, until
+        something resists the slide and the ties bear nothing, or until they bear the same as before and no load pushes them.
+        Whether there was anything to change."""
+        p, ties = self.problem, self.problem.ties
+        if ties is None or not ties.acts:
+            return False
+        borne, pushed = p.ties_bear()
+        now, before = float(borne.max()), self._borne
+        allowed = SLIDES if pushed.max() <= PUSHED else PUSHED
+        if now <= self.rtol or HELD * before < now <= allowed:
+            ties.borne = borne
+            return False
+        if now < HELD * before:  # resisted: a geometric series
+            on, self._stride = now / (before - now), 0.0
+        else:  # not yet: twice as far each time
+            on = self._stride = 0.0 if np.isnan(before) else 2.0 * self._stride + 1.0
+        length = on * p.longest_motion(p.bodies.get() - ties.anchor)
+        on *= min(1.0, LONGEST / max(length, 1e-300))
+        if iteration > 0:
+            ties.measure(self.linear.response)
+        others = p.move_ties(self.snes.getFunction()[0], on)
+        self._borne, self._moves = np.nan if others or now < HELD * before else now, self._moves + 1
+        self._patterns, self._cycles, self._law_since = [], 0, iteration
+        return True
+
     def _guard(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Shorten the step x ← x − y until no cell is inverted and no closed point slides too far."""
         p = self.problem
         p.stopwatch.add("linear solve", p.stopwatch.clock() - self._linear_start)
         self._note_stability()
+        self.linear.add_ties(y)
         change = self._change_load(x, y) if self._path is not None else 0.0
         length = self._damping
         with p.stopwatch("guard"):
@@ -382,8 +421,8 @@ class NewtonSolver:
         p, parts = self.problem, []
         if p.floating:
             parts.append(
-                f"{' and '.join(p.unheld())}: press it on, prescribe the motion that is free (to slide without friction: "
-                "that of one node, along the surface), add friction, or let it move with dynamics.march"
+                f"{' and '.join(p.unheld())}: press it on, prescribe the motion that is free (of one node, along the "
+                "surface), add friction, or let it move with dynamics.march"
             )
         elif far := [
             f"{pair.name}: {name} = {ratio * pair.unit:.3g} Pa/m where the bulk suggests {pair.unit:.3g}"

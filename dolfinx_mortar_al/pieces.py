@@ -15,7 +15,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-__all__ = ["Piece", "connected", "floating_pieces", "pieces_of"]
+__all__ = ["Piece", "connected", "floating_pieces", "pieces_of", "rigid_motions"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -63,7 +63,7 @@ def floating_pieces(V: fem.FunctionSpace, label: Index, prescribed: fem.Function
         total = comm.allreduce(np.r_[mine.sum(), X[mine].sum(axis=0)], MPI.SUM)
         centre = total[1:] / total[0]
         size = np.sqrt(comm.allreduce(float(np.sum((X[mine] - centre) ** 2)), MPI.SUM) / total[0])
-        modes = _rigid_motions((X - centre) / max(size, 1e-300)) * mine[:, None, None]  # (nodes, d, modes)
+        modes = rigid_motions((X - centre) / max(size, 1e-300)) * mine[:, None, None]  # (nodes, d, modes)
         gram = comm.allreduce(modes[held].T @ modes[held], MPI.SUM) / total[0]
         scale = comm.allreduce(float(np.abs(diagonal[mine]).max(initial=0.0)), MPI.MAX)
         share, combinations = np.linalg.eigh(gram)
@@ -116,8 +116,8 @@ def _labels(V: fem.FunctionSpace) -> Index:
         field.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
 
 
-def _rigid_motions(x: Array) -> Array:
-    """(n, d, modes) translations and infinitesimal rotations at points x (n, d)."""
+def rigid_motions(x: Array) -> Array:
+    """(n, d, motions) translations, then infinitesimal rotations about the origin, at points x (n, d)."""
     n, d = x.shape
     modes = [np.broadcast_to(e, (n, d)) for e in np.eye(d)]
     if d == 2:

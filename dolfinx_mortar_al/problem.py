@@ -30,6 +30,7 @@ from dolfinx_mortar_al.pieces import Piece
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.surface import check_surfaces
+from dolfinx_mortar_al.ties import Ties
 from dolfinx_mortar_al.validation import check_names, joint_thickness, listed
 
 __all__ = ["ContactProblem", "Snapshot"]
@@ -42,6 +43,11 @@ LET_GO = (
     "contact alone held it and does no more, so that nothing says where it is; press it on, hold one of its nodes, or let it "
     "move with dynamics.march"
 )
+SLIDE = (
+    "share of the contact forces that push it where nothing resists, from pressures on a coarse mesh or a small load; a tie "
+    "to where it was bears them; refine its surface, or prescribe the motion that is free, of one node"
+)
+TOLD = 1e-3  # share of the contact forces that a tie may bear unsaid
 LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
 UNSEEN = 1e-6  # share of round-off in a body's forces below which a load counts as none from the start
 
@@ -226,6 +232,10 @@ class ContactProblem:
         #: springs on the pieces that contact alone holds, in the Jacobian only: (N/m) and the share of them in use
         self.springs, self.spring_share = self.bodies.springs(diagonals), 0.0
         self._spring_shares = self.bodies.spring_shares(diagonals, self._touched)
+        #: of pieces that contact alone holds, without friction; None if there are none
+        self.ties = self._create_ties()
+        if self.ties is not None:
+            self.members["ties"] = self.ties
         for k in range(1, n):
             for i, j in [(0, k), (k, 0), (k, k)]:
                 self.blocks[i][j] = empty_matrix(self._layouts[i], self._layouts[j])
@@ -298,11 +308,17 @@ class ContactProblem:
         """The left-hand side of eq. (3) at x with the active sets as they are: forces, and k times the multipliers'
         residual (N); `evaluated` if the pairs are up to date with x."""
         self.unpack(x)
-        with self.stopwatch("bulk"):
-            self.force_scale = self.bodies.residual(self.bulk_forces)
+        self.assemble_bulk()
         if not evaluated:
             self.evaluate()
         self.add_contact(f)
+
+    def assemble_bulk(self) -> None:
+        """Bring the bulk's forces up to date with the displacements, those of ties among them (collective)."""
+        with self.stopwatch("bulk"):
+            self.force_scale = self.bodies.residual(self.bulk_forces)
+            if self.ties is not None:
+                self.bulk_forces.array[:] += self.ties.forces()
 
     def add_contact(self, f: PETSc.Vec) -> None:
         """f ← the bulk's forces and those of contact, as last evaluated."""
@@ -421,7 +437,17 @@ class ContactProblem:
         for pair in self.pairs:
             looks += [pair.coarse_integration(), pair.fine_multiplier(), pair.prescribed_overlap(), *pair.unfelt()]
             looks += pair.far_augmentation()
-        return [finding for finding in looks if finding is not None] + self._let_go()
+        return [finding for finding in looks if finding is not None] + self._let_go() + self._tied()
+
+    def _tied(self) -> list[Finding]:
+        """Pieces of which ties bear more than TOLD of the contact forces in this state (collective)."""
+        found = []
+        for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
+            for piece in body.floating:
+                borne = float(self.ties.borne[first + piece.number]) if self.ties is not None else 0.0
+                if borne > TOLD:
+                    found.append(Finding(f"slide of {piece}", borne, (), SLIDE, fatal=False))
+        return found
 
     def _let_go(self) -> list[Finding]:
         """Pieces that contact alone held in the last equilibrium and that nothing touches now (collective)."""
@@ -457,6 +483,44 @@ class ContactProblem:
         mine = np.arange(*A.getOwnershipRange(), dtype=np.int32)[:, None]
         share = np.maximum(self.spring_share * self._spring_shares, LEAST_SPRING)
         A.setValuesRCV(mine, mine, (share * k.array_r)[:, None, None], _ADD)
+        if self.ties is not None and self.ties.acts:
+            nodes = mine.reshape(-1, self.gdim)
+            A.setValuesRCV(nodes, nodes, self.ties.springs(), _ADD)
+
+    def _create_ties(self) -> Ties | None:
+        if self.springs is None:
+            return None
+        rubs = np.zeros(self.bodies.pieces, dtype=bool)
+        for pair, touched in zip(self.pairs, self._touched, strict=True):
+            rubs |= touched & bool(pair.friction)
+        stiffness = self.springs.array_r * self._spring_shares
+        return Ties(self.bodies, np.where(rubs[self.bodies.piece_of_dof], 0.0, stiffness))
+
+    def ties_bear(self) -> tuple[Array, Array]:
+        """(pieces,) what ties bear, and what loads push with along the same motions, as shares of the contact forces, or of
+        what round-off leaves of them (collective)."""
+        assert self.ties is not None
+        f = self.ties.forces()
+        pressed = sum(float(np.linalg.norm(pair.force())) for pair in self.pairs)
+        pressed = max(pressed, float(self.force_floor.max()) / UNSEEN)
+        return self.ties.share(f, pressed), self.ties.share(self.bulk_forces.array_r - f, pressed)
+
+    def start_ties(self) -> None:
+        """At the start of a solve: along motions that next to nothing resisted in the last equilibrium, or along all
+        before the first one (collective)."""
+        if self.ties is not None:
+            self.ties.engage(everything=any(pair.active.guessed for pair in self.pairs))
+
+    def move_ties(self, f: PETSc.Vec, on: float) -> bool:
+        """Tie the pieces to where they are, and `on` times as far from where they were tied to; f, the residual, is
+        brought up to date. Whether other motions are tied than before (collective)."""
+        assert self.ties is not None
+        self.bulk_forces.array[:] -= self.ties.forces()
+        self.ties.move(on)
+        changed = self.ties.engage()
+        self.bulk_forces.array[:] += self.ties.forces()
+        self.add_contact(f)
+        return changed
 
     def unheld(self) -> list[str]:
         """The floating pieces, in words: those that a pair may hold, and those that nothing does (collective)."""
@@ -512,6 +576,8 @@ class ContactProblem:
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""
         self.lacks_stiffness = False
+        if self.ties is not None:
+            self.ties.move(0.0)
         for pair in self.pairs:
             pair.commit()
 

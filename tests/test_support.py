@@ -103,9 +103,9 @@ def test_what_conditions_or_inertia_hold_does_not_float():
     assert len(ContactProblem(materials.neo_hookean(1e5, 0.3).virtual_work(u), u).floating) == 1
 
 
-def squeezed_block():
+def squeezed_block(held):
     """A block of order 2 between straight plates 1e4 times as stiff, without friction, its cells not symmetric; a corner
-    cannot move along the plates. Returns the problem and the upper plate's prescribed displacement."""
+    cannot move along the plates if `held`. Returns the problem and the upper plate's prescribed displacement."""
     bodies, faces = [], []
     for low, high, cells, young in (
         ((-0.5, 0.0), (0.5, 1.0), (5, 5), 1e6),
@@ -123,7 +123,7 @@ def squeezed_block():
         if young > 1e6:
             outer = tags.find(1 if low[1] < 0 else 2)
             bcs = [fem.dirichletbc(given, fem.locate_dofs_topological(V, 1, outer), V)]
-        else:
+        elif held:
             Vx = V.sub(0).collapse()[0]
             corner = lambda x: np.isclose(x[0], -0.5) & np.isclose(x[1], 0.0)  # noqa: E731
             bcs = [fem.dirichletbc(fem.Function(Vx), fem.locate_dofs_geometrical((V.sub(0), Vx), corner), V.sub(0))]
@@ -134,12 +134,15 @@ def squeezed_block():
     return ContactProblem(bodies, contacts=contacts), given
 
 
-def test_a_block_that_may_slide_between_plates_needs_one_node_held():
-    """Nothing resists the slide, and rays push the block along the plates by a discretisation error: with a corner held it
-    takes 3 iterations a step (8 and 11 without), and the corner bears less than 1e-6 of the squeeze (1.2e-7)."""
-    problem, head = squeezed_block()
+@pytest.mark.parametrize("held", [True, False])
+def test_a_block_that_may_slide_between_plates(held):
+    """Nothing resists the slide, and rays push the block along the plates by a discretisation error: a corner that is held, or
+    the tie, bears less than 1e-6 of the squeeze. The first solve, which ties every motion, takes three iterations more than
+    the others, which take three or fewer."""
+    problem, head = squeezed_block(held)
     steps = list(quasistatic.march(problem, head, to=(0.0, -0.1), increments=2))
-    assert [step.rejected for step in steps] == [0, 0] and max(step.iterations for step in steps) <= 4
+    assert [step.rejected for step in steps] == [0, 0]
+    assert steps[0].iterations <= 6 and steps[1].iterations <= 3
     lower, upper = (pair.force() for pair in problem.pairs)
     assert lower[1] == pytest.approx(-upper[1], rel=1e-6)
     assert abs(lower[0] + upper[0]) < 1e-6 * lower[1]

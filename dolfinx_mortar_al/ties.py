@@ -1,0 +1,159 @@
+"""Ties of pieces that contact alone holds, without friction, and that nothing keeps from sliding (``docs/newton.md``).
+
+A body squeezed between flat plates may lie anywhere along them, and what pressures leave along the plates, an error of the
+mesh, has nothing to resist it: as a rule there is no equilibrium. So such a piece is tied to where it was in the last one,
+
+    𝐟 = ∑ κ 𝐦 (𝐦·(𝐮 − 𝐚)),
+
+with the rigid motions 𝐦 that next to nothing resists, orthonormal over the nodes, so that a tie bears a slide and nothing
+else. When Newton has converged the piece is tied to where it is then, and the solve goes on: where something does resist the
+slide the tie bears less each time; where nothing does it bears the same again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.pieces import rigid_motions
+
+__all__ = ["Ties"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+STIFFNESS = 0.1  # of a tie, as a share of what a piece resists a deformation of its own size with
+NEUTRAL = 0.1  # share of a tie below which what resists a motion leaves it free
+SAME = 0.1  # difference of two projections onto motions that count as the same
+WEAK = 1e-6  # share of a tie that springs at the nodes have, which make the sparse part of the Jacobian regular
+
+
+class Ties:
+    """Ties of the pieces that contact alone holds and that touch nothing with friction.
+
+    Args:
+        bodies: all of them.
+        diagonal: (owned dofs,) of the bodies' stiffness (N/m), 0 where nothing is to be tied.
+
+    Attributes:
+        anchor: (owned dofs,) displacement where the ties bear nothing (m).
+        resistance: (pieces, motions, motions) to the rigid motions of each piece in the last equilibrium (N/m), 0 where that
+            is not known.
+        borne: (pieces,) what ties bear in the last equilibrium, as a share of the contact forces.
+        motions, stiffness, piece: (ties, owned dofs), (ties,) in N/m and (ties,) of the ties in use.
+    """
+
+    def __init__(self, bodies: Bodies, diagonal: Array) -> None:
+        self._bodies, d = bodies, bodies.gdim
+        self._piece, self._may_move = bodies.piece_of_dof[::d], (diagonal > 0).reshape(-1, d)
+        each = np.stack([np.ones(len(self._piece)), diagonal.reshape(-1, d).mean(axis=1)])
+        count, total = bodies.comm.allreduce(self._by_piece(each.T), MPI.SUM).T
+        self._nodes = np.maximum(count, 1.0)
+        # n springs of k at n nodes: k n^(2/d) is what a body resists a deformation of its size with, k its nodes' stiffness
+        self._k = STIFFNESS * total / self._nodes ** (1.0 + 2.0 / d)
+        self._pieces: Index = np.flatnonzero(self._k)
+        m = 3 * (d - 1)
+        self.anchor: Array = bodies.get()
+        self.resistance: Array = np.zeros((bodies.pieces, m, m))
+        self.borne: Array = np.zeros(bodies.pieces)
+        self._free = np.zeros_like(self.resistance)  # projects onto the motions that are tied
+        self.motions: Array = np.zeros((0, len(diagonal)))
+        self.stiffness: Array = np.zeros(0)
+        self.piece: Index = np.zeros(0, dtype=np.int64)
+
+    @property
+    def acts(self) -> bool:
+        """Whether anything is tied."""
+        return len(self.stiffness) > 0
+
+    def _by_piece(self, values: Array) -> Array:
+        """(pieces, ...) sums of nodal values (owned nodes, ...) of this rank."""
+        total = np.zeros((self._bodies.pieces, *values.shape[1:]))
+        np.add.at(total, self._piece, values)
+        return total
+
+    # ---------------------------------------------------------------- which motions
+
+    def engage(self, *, everything: bool = False) -> bool:
+        """Tie motions that next to nothing resists, or all; whether they are others than before (collective)."""
+        share, axes = np.linalg.eigh((self.resistance + np.swapaxes(self.resistance, 1, 2)) / 2)
+        soft = share < NEUTRAL * self._k[:, None]
+        free = soft & np.any(self.resistance, axis=(1, 2), keepdims=True)[:, :, 0] | everything
+        before, self._free = self._free, (axes * free[:, None]) @ np.swapaxes(axes, 1, 2)
+        R, rows = self._rigid_motions(), [np.zeros((0, self._may_move.size))]
+        for p in self._pieces:
+            mine = (self._piece == p)[:, None, None] * R @ axes[p][:, free[p]] / np.sqrt(self._nodes[p])
+            rows.append(mine.reshape(self._may_move.size, -1).T)
+        self.motions = np.concatenate(rows)
+        self.piece = np.repeat(self._pieces, [free[p].sum() for p in self._pieces])
+        self.stiffness = self._k[self.piece]
+        return bool(np.abs(self._free - before).max() > SAME)
+
+    def measure(self, response: Callable[[Array], Array]) -> None:
+        """What resists rigid motions: from the displacements that nodal forces (owned dofs,) lead to (collective)."""
+        R = self._rigid_motions()
+        for p in self._pieces:
+            m = ((self._piece == p)[:, None, None] * R / np.sqrt(self._nodes[p])).reshape(self._may_move.size, -1)
+            flexibility = m.T @ np.stack([response(column) for column in m.T], axis=1)
+            self.resistance[p] = np.linalg.pinv(self._bodies.comm.allreduce(flexibility, MPI.SUM))
+
+    def _rigid_motions(self) -> Array:
+        """(owned nodes, gdim, motions) of the piece that each node is of, at the present positions, orthonormal in the mean
+        over the piece's nodes; prescribed components are 0 (collective)."""
+        b, d = self._bodies, self._bodies.gdim
+        x = b.owned_positions() + b.get().reshape(-1, d)
+        x = x - (b.comm.allreduce(self._by_piece(x), MPI.SUM) / self._nodes[:, None])[self._piece]
+        R = rigid_motions(x) * self._may_move[:, :, None]
+        gram = b.comm.allreduce(self._by_piece(np.swapaxes(R, 1, 2) @ R), MPI.SUM) / self._nodes[:, None, None]
+        square, axes = np.linalg.eigh(gram)
+        root = np.sqrt(np.maximum(square, 1e-300))
+        return np.asarray(R @ ((axes / root[:, None]) @ np.swapaxes(axes, 1, 2))[self._piece])
+
+    # ---------------------------------------------------------------- forces
+
+    def times(self, values: Array) -> Array:
+        """(ties,) of nodal values (owned dofs,) along the motions (collective)."""
+        return np.asarray(self._bodies.comm.allreduce(self.motions @ values, MPI.SUM))
+
+    def forces(self) -> Array:
+        """(owned dofs,) of the ties (N), collective."""
+        return self.pull(self._bodies.get() - self.anchor)
+
+    def pull(self, u: Array) -> Array:
+        """(owned dofs,) forces (N) of the ties in use for displacements u (owned dofs,), collective."""
+        return (self.stiffness * self.times(u)) @ self.motions if self.acts else np.zeros_like(u)
+
+    def share(self, forces: Array, pressed: float) -> Array:
+        """(pieces,) resultant of nodal forces (owned dofs,) along the tied motions at the present positions, as a share of
+        the force `pressed` (N), collective."""
+        f = forces.reshape(self._may_move.shape)
+        total = self._bodies.comm.allreduce(self._by_piece(np.einsum("nim,ni->nm", self._rigid_motions(), f)), MPI.SUM)
+        return np.asarray(np.linalg.norm((self._free @ total[:, :, None])[:, :, 0], axis=1) / pressed)
+
+    def springs(self) -> Array:
+        """(owned nodes, gdim, gdim) stiffness (N/m) of weak springs at the nodes, along the motions."""
+        m = (
+            self.motions.reshape(len(self.motions), *self._may_move.shape)
+            * np.sqrt(self._nodes[self.piece])[:, None, None]
+        )
+        return np.asarray(np.einsum("a,ani,anj->nij", WEAK * self.stiffness, m, m))
+
+    # ---------------------------------------------------------------- steps
+
+    def move(self, on: float) -> None:
+        """Tie the pieces to where they are, and `on` times as far from where they were tied to."""
+        u = self._bodies.get()
+        self.anchor = u + on * (u - self.anchor)
+
+    def snapshot(self) -> dict[str, Array]:
+        """What a step may change."""
+        return {"anchor": self.anchor.copy(), "resistance": self.resistance.copy(), "borne": self.borne.copy()}
+
+    def restore(self, saved: dict[str, Array]) -> None:
+        """Back to a snapshot."""
+        self.anchor, self.resistance = saved["anchor"].copy(), saved["resistance"].copy()
+        self.borne = saved["borne"].copy()

@@ -1,0 +1,76 @@
+"""Pieces that contact alone holds, without friction: what slides is tied, and the tie bears what pressures leave, no more."""
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic
+from meshes.disc import RIM, Disc
+
+E = 1e6  # Pa
+R = 0.1  # m
+OUTER, INNER = 1, 2
+
+
+def plate(y0, y1, young, cells=9):
+    """A plate over −2R ≤ x ≤ 2R, its outer side prescribed: the body, its facets' tags, the prescribed displacement."""
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [[-2 * R, y0], [2 * R, y1]], [cells, 1], mesh.CellType.quadrilateral)
+    outer, inner = (y0, y1) if y0 < 0 else (y1, y0)
+    sides = [mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (outer, inner)]
+    facets, order = np.concatenate(sides), np.argsort(np.concatenate(sides))
+    tags = mesh.meshtags(domain, 1, facets[order], np.repeat(np.int32([OUTER, INNER]), [len(f) for f in sides])[order])
+    V, given = fem.functionspace(domain, ("Lagrange", 1, (2,))), fem.Constant(domain, np.zeros(2))
+    bc = fem.dirichletbc(given, fem.locate_dofs_topological(V, 1, tags.find(OUTER)), V)
+    return Body(fem.Function(V), materials.neo_hookean(young, 0.3), bcs=[bc]), (domain, tags), given
+
+
+def roller(size, order=1, ratio=1e4, load=0.0):
+    """A disc with cells of `size` radii between plates of `ratio` times its stiffness, its mesh turned so that nothing is
+    symmetric, under a dead load of `load` E/R (N/m³) along the plates: the problem and the upper plate's displacement."""
+    domain, _, facets = Disc(radius=R, size=size * R, order=order).create(MPI.COMM_WORLD)
+    x, (c, s) = domain.geometry.x[:, :2], (np.cos(0.13), np.sin(0.13))
+    domain.geometry.x[:, :2] = (x - [0, R]) @ [[c, s], [-s, c]] + [0, R]
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", order, (2,))))
+    push = fem.Constant(domain, np.array([load * E / R, 0.0]))
+    body = Body(u, materials.neo_hookean(E, 0.3), external=(push, ufl.dx(domain)) if load else None)
+    (lower, below, _), (upper, above, head) = plate(-0.3 * R, 0.0, ratio * E), plate(2 * R, 2.3 * R, ratio * E)
+    rim = Surface(domain, facets, RIM)
+    contacts = [Contact(rim, Surface(*plate, INNER), name=n) for n, plate in (("lower", below), ("upper", above))]
+    return ContactProblem([body, lower, upper], contacts=contacts), head
+
+
+@pytest.mark.parametrize("size, order, ratio", [(0.3, 1, 1e4), (0.3, 2, 1e4), (0.15, 1, 1e4), (0.2, 2, 1.0)])
+def test_a_roller_stays_between_frictionless_plates(size, order, ratio):
+    """Squeezed by .2 of its radius in 4 steps: none is rejected, both plates press alike but for what the tie bears of it, 1e-4,
+    which is less than a twentieth of the squeeze along the plates; the roller moves by less than .05 of its radius."""
+    problem, head = roller(size, order, ratio)
+    steps = list(quasistatic.march(problem, head, to=(0.0, -0.2 * R), increments=4))
+    assert [step.rejected for step in steps] == [0] * 4
+    assert sum(step.iterations for step in steps) <= 60
+    lower, upper = (pair.force() for pair in problem.pairs)
+    assert lower[1] == pytest.approx(-upper[1], rel=1e-4)
+    assert lower[1] > 0.01 * E * R
+    assert abs(lower[0] + upper[0]) < 0.05 * lower[1]
+    dofs = problem.bodies.bodies[0].u
+    owned = dofs.function_space.dofmap.index_map.size_local
+    total = problem.comm.allreduce(np.r_[dofs.x.array[: 2 * owned : 2].sum(), owned], MPI.SUM)
+    assert abs(total[0] / total[1]) < 0.05 * R
+
+
+def test_a_small_load_is_borne_and_told_and_a_large_one_is_not():
+    """Along frictionless plates nothing resists a load: of 2e-3 of the contact forces the tie bears it, and a finding says how
+    much, to what pressures leave (5 %); with one of a quarter there is no equilibrium."""
+    problem, head = roller(0.3, 2)
+    steps = list(quasistatic.march(problem, head, to=(0.0, -0.2 * R), increments=2))
+    assert [str(f) for step in steps for f in step.findings] == []
+    pressed = 2 * problem.pairs[0].force()[1] / (np.pi * E * R)
+    problem, head = roller(0.3, 2, load=2e-3 * pressed)
+    *_, last = quasistatic.march(problem, head, to=(0.0, -0.2 * R), increments=2)
+    (found,) = last.findings
+    assert found.name.startswith("slide of the body around X = [0")
+    assert found.value == pytest.approx(2e-3, rel=0.05)
+    problem, head = roller(0.3, 2, load=0.25 * pressed)
+    with pytest.raises(quasistatic.StepFailure, match="contact alone holds the body"):
+        list(quasistatic.march(problem, head, to=(0.0, -0.2 * R), increments=2, smallest=0.5))
