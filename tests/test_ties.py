@@ -43,8 +43,8 @@ def roller(size, order=1, ratio=1e4, load=0.0):
 
 @pytest.mark.parametrize("size, order, ratio", [(0.3, 1, 1e4), (0.3, 2, 1e4), (0.15, 1, 1e4), (0.2, 2, 1.0)])
 def test_a_roller_stays_between_frictionless_plates(size, order, ratio):
-    """Squeezed by .2 of its radius in 4 steps: none is rejected, both plates press alike but for what the tie bears of it, 1e-4,
-    which is less than a twentieth of the squeeze along the plates; the roller moves by less than .05 of its radius."""
+    """Squeezed by .2 of its radius in 4 steps: none is rejected, both plates press alike but for what the tie bears of it,
+    1e-4, which is less than a twentieth of the squeeze along the plates; the roller moves by less than .05 of its radius."""
     problem, head = roller(size, order, ratio)
     steps = list(quasistatic.march(problem, head, to=(0.0, -0.2 * R), increments=4))
     assert [step.rejected for step in steps] == [0] * 4
@@ -60,8 +60,8 @@ def test_a_roller_stays_between_frictionless_plates(size, order, ratio):
 
 
 def test_a_small_load_is_borne_and_told_and_a_large_one_is_not():
-    """Along frictionless plates nothing resists a load: of 2e-3 of the contact forces the tie bears it, and a finding says how
-    much, to what pressures leave (5 %); with one of a quarter there is no equilibrium."""
+    """Along frictionless plates nothing resists a load: of 2e-3 of the contact forces the tie bears it, and a finding says
+    how much, to what pressures leave (5 %); with one of a quarter there is no equilibrium."""
     problem, head = roller(0.3, 2)
     steps = list(quasistatic.march(problem, head, to=(0.0, -0.2 * R), increments=2))
     assert [str(f) for step in steps for f in step.findings] == []
