@@ -1,6 +1,7 @@
 """Bodies without friction that contact alone holds and that may spin or slide: iterations and rejected steps.
 
     ./run python3 benchmarks/free_bodies.py [--only PATTERN] [--mu MU] [--projection rays|closest] [--anchor]
+    ./run python3 benchmarks/free_bodies.py --draw SEED --scenes N      # others, drawn at random
 
 Each is squeezed by a tenth to a half of its radius between tools 1e4 times as stiff, if not said otherwise; some take a
 pressure then, from the left or in their bore. With `--anchor` its middle node cannot move along x, and the last column says
@@ -65,6 +66,31 @@ SCENES = {
     "ball": Scene("ball", "plate", order=1, h=(0.4, 0.5), squeeze=0.2, steps=4, dim=3),
     "ball in a vee": Scene("ball", "vee", order=1, h=(0.4, 0.6), squeeze=0.1, steps=4, dim=3, unit=1e-3),
 }
+
+
+def drawn(seed: int, count: int) -> dict[str, Scene]:
+    """Scenes over the ranges that the list above covers."""
+    rng, scenes = np.random.default_rng(seed), {}
+    for k in range(count):
+        dim = int(rng.choice([2, 2, 2, 3]))
+        body = str(rng.choice(["ring", "roller", "block"])) if dim == 2 else "ball"
+        lower = str(rng.choice(["plate", "plate", "vee"])) if body in ("roller", "ball") else "plate"
+        own = float(rng.uniform(0.08, 0.3) if dim == 2 else rng.uniform(0.3, 0.5))
+        tools = float(np.clip(own * 2.0 ** rng.uniform(-1.5, 1.5), 0.08 if dim == 2 else 0.4, 0.6))
+        ratio, steps = float(10.0 ** rng.uniform(-2, 4)), int(rng.integers(2, 30))
+        scenes[f"{seed}/{k}, {body} on {lower}"] = Scene(
+            body,
+            lower,
+            order=int(rng.choice([1, 2])) if dim == 2 else 1,
+            h=(own, tools),
+            ratio=ratio,
+            squeeze=float(rng.uniform(0.02, 0.3 if body == "ring" or ratio > 1 else 0.1)),
+            steps=steps if dim == 2 else min(steps, 6),
+            unit=float(rng.choice([1.0, 1e-3])),
+            dim=dim,
+            nu=float(rng.uniform(0.2, 0.48)),
+        )
+    return scenes
 
 
 def prism(points: list[tuple[float, float]], dim: int) -> int:
@@ -194,9 +220,11 @@ if __name__ == "__main__":
     parser.add_argument("--mu", type=float, default=0.0, help="friction (%(default)s)")
     parser.add_argument("--anchor", action="store_true", help="hold a node along x")
     parser.add_argument("--projection", default="rays", help="of all pairs (%(default)s)")
+    parser.add_argument("--draw", type=int, metavar="SEED", help="scenes drawn at random in place of the list")
+    parser.add_argument("--scenes", type=int, default=20, help="how many are drawn (%(default)s)")
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
     print("| scene | increments | iterations | rejected | s | |\n|---|---|---|---|---|---|")
-    for name, scene in SCENES.items():
+    for name, scene in (SCENES if asked.draw is None else drawn(asked.draw, asked.scenes)).items():
         if fnmatch.fnmatch(name, asked.only):
             print(f"| {name} | {run(scene, asked.mu, asked.projection, asked.anchor)} |", flush=True)

@@ -137,8 +137,8 @@ def squeezed_block(held):
 @pytest.mark.parametrize("held", [True, False])
 def test_a_block_that_may_slide_between_plates(held):
     """Nothing resists the slide, and rays push the block along the plates by a discretisation error: a corner that is held,
-    or the tie, bears less than 1e-6 of the squeeze. The first solve, which ties every motion, takes three iterations more than
-    the others, which take three or fewer."""
+    or the tie, bears less than 1e-6 of the squeeze. The first solve, which ties every motion, takes three iterations more
+    than the others, which take three or fewer."""
     problem, head = squeezed_block(held)
     steps = list(quasistatic.march(problem, head, to=(0.0, -0.1), increments=2))
     assert [step.rejected for step in steps] == [0, 0]
