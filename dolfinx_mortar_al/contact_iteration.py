@@ -119,7 +119,7 @@ class ContactIteration:
             if size < least:
                 least = size
                 self._keep()
-        if size > least:
+        if size > least and self._linear.is_solid:
             self._go_back()
         corrected = may_correct and self._correct(bulk, start)
         if len(patterns) == 1 and not corrected:
@@ -167,7 +167,8 @@ class ContactIteration:
 
     def _evaluate(self) -> None:
         """Bring the pairs and their active sets up to date with z, at the points as they are: contact's state is compared
-        point by point. Gaps are linear in the next step but for contact: what they are off by then is what GMRES leaves."""
+        point by point. In space gaps are off by what GMRES leaves in the next step, as they are linear but for contact; in the
+        plane their whole error counts: thin belts would fly off."""
         p = self.problem
         p.unpack(self._z)
         for pair in p.pairs:
@@ -177,7 +178,8 @@ class ContactIteration:
             pair.holds_points = False
         p.set_gaps(self._f)
         self._f.axpy(-1.0, self._goal)
-        self._f.scale(LINEAR)
+        if self._linear.is_solid:
+            self._f.scale(LINEAR)
         p.choose(self._f)
 
     def _balance(self, bulk: LinearisedBulk, y: PETSc.Vec) -> float:
