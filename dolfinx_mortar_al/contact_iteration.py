@@ -167,8 +167,8 @@ class ContactIteration:
 
     def _evaluate(self) -> None:
         """Bring the pairs and their active sets up to date with z, at the points as they are: contact's state is compared
-        point by point. In space gaps are off by what GMRES leaves in the next step, as they are linear but for contact; in the
-        plane their whole error counts: thin belts would fly off."""
+        point by point. In space gaps are off by what GMRES leaves in the next step, as they are linear but for contact; in
+        the plane their whole error counts: thin belts would fly off."""
         p = self.problem
         p.unpack(self._z)
         for pair in p.pairs:

@@ -307,8 +307,8 @@ class NewtonSolver:
         if now <= self.rtol or HELD * before < now <= allowed:
             ties.borne = borne
             return False
-        if now < HELD * before:  # resisted: a geometric series
-            on, self._stride = now / (before - now), 0.0
+        if now < HELD * before:  # resisted: so far that nothing is left, had it gone on like that
+            on, self._stride = now / (before - now) * (self._stride + 1.0), 0.0
         else:  # not yet: twice as far each time
             on = self._stride = 0.0 if np.isnan(before) else 2.0 * self._stride + 1.0
         length = on * p.longest_motion(p.bodies.get() - ties.anchor)

@@ -497,18 +497,18 @@ class ContactProblem:
         return Ties(self.bodies, np.where(rubs[self.bodies.piece_of_dof], 0.0, stiffness))
 
     def ties_bear(self) -> tuple[Array, Array]:
-        """(pieces,) what ties bear, and what loads push with along the same motions, as shares of the contact forces, or of
-        what round-off leaves of them (collective)."""
+        """(pieces,) what ties bear, and what loads push with along the same motions, as shares of the contact forces, of
+        the largest in this solve: what one side alone presses on is pushed away from it (collective)."""
         assert self.ties is not None
         f = self.ties.forces()
-        pressed = sum(float(np.linalg.norm(pair.force())) for pair in self.pairs)
-        pressed = max(pressed, float(self.force_floor.max()) / UNSEEN)
-        return self.ties.share(f, pressed), self.ties.share(self.bulk_forces.array_r - f, pressed)
+        self._pressed = max(self._pressed, sum(float(np.linalg.norm(pair.force())) for pair in self.pairs))
+        return self.ties.share(f, self._pressed), self.ties.share(self.bulk_forces.array_r - f, self._pressed)
 
     def start_ties(self) -> None:
         """At the start of a solve: along motions that next to nothing resisted in the last equilibrium, or along all
         before the first one (collective)."""
         if self.ties is not None:
+            self._pressed = float(self.force_floor.max()) / UNSEEN
             self.ties.engage(everything=any(pair.active.guessed for pair in self.pairs))
 
     def move_ties(self, f: PETSc.Vec, on: float) -> bool:
