@@ -315,6 +315,13 @@ class Bodies:
             np.minimum(share, softest / np.maximum(largest, 1e-300), out=share, where=pieces)
         return share[self.piece_of_dof]
 
+    def prescribed_pieces(self) -> NDArray[np.bool_]:
+        """(pieces,) of which some component is prescribed (collective)."""
+        some = np.zeros(self.pieces)
+        for body, first in zip(self.bodies, self.first_piece, strict=True):
+            np.maximum.at(some, np.repeat(body.piece + first, self.gdim), body.prescribed().x.array)
+        return np.asarray(self._largest(some) > 0)
+
     def norms(self, values: Array) -> Array:
         """(pieces,) norm of nodal values (owned dofs,) on each piece (collective)."""
         squares = np.bincount(self.piece_of_dof, weights=values**2, minlength=self.pieces)

@@ -232,8 +232,9 @@ class ContactProblem:
         #: springs on the pieces that contact alone holds, in the Jacobian only: (N/m) and the share of them in use
         self.springs, self.spring_share = self.bodies.springs(diagonals), 0.0
         self._spring_shares = self.bodies.spring_shares(diagonals, self._touched)
-        #: of pieces that contact alone holds, without friction; None if there are none
+        #: of pieces that contact alone holds, without friction and any prescribed component; None if there are none
         self.ties = self._create_ties()
+        self._pressed = 0.0  # most of the contact forces in this solve (N)
         if self.ties is not None:
             self.members["ties"] = self.ties
         for k in range(1, n):
@@ -490,11 +491,13 @@ class ContactProblem:
     def _create_ties(self) -> Ties | None:
         if self.springs is None:
             return None
-        rubs = np.zeros(self.bodies.pieces, dtype=bool)
+        held = self.bodies.prescribed_pieces()
         for pair, touched in zip(self.pairs, self._touched, strict=True):
-            rubs |= touched & bool(pair.friction)
+            held |= touched & bool(pair.friction)
+        if held.all():
+            return None
         stiffness = self.springs.array_r * self._spring_shares
-        return Ties(self.bodies, np.where(rubs[self.bodies.piece_of_dof], 0.0, stiffness))
+        return Ties(self.bodies, np.where(held[self.bodies.piece_of_dof], 0.0, stiffness))
 
     def ties_bear(self) -> tuple[Array, Array]:
         """(pieces,) what ties bear, and what loads push with along the same motions, as shares of the contact forces, of

@@ -33,7 +33,7 @@ WEAK = 1e-6  # share of a tie that springs at the nodes have, which make the spa
 
 
 class Ties:
-    """Ties of the pieces that contact alone holds and that touch nothing with friction.
+    """Ties of the pieces that contact alone holds, that touch nothing with friction and of which nothing is prescribed.
 
     Args:
         bodies: all of them.
@@ -49,7 +49,7 @@ class Ties:
 
     def __init__(self, bodies: Bodies, diagonal: Array) -> None:
         self._bodies, d = bodies, bodies.gdim
-        self._piece, self._may_move = bodies.piece_of_dof[::d], (diagonal > 0).reshape(-1, d)
+        self._piece = bodies.piece_of_dof[::d]
         each = np.stack([np.ones(len(self._piece)), diagonal.reshape(-1, d).mean(axis=1)])
         count, total = bodies.comm.allreduce(self._by_piece(each.T), MPI.SUM).T
         self._nodes = np.maximum(count, 1.0)
@@ -84,10 +84,10 @@ class Ties:
         soft = share < NEUTRAL * self._k[:, None]
         free = soft & np.any(self.resistance, axis=(1, 2), keepdims=True)[:, :, 0] | everything
         before, self._free = self._free, (axes * free[:, None]) @ np.swapaxes(axes, 1, 2)
-        R, rows = self._rigid_motions(), [np.zeros((0, self._may_move.size))]
+        R, rows = self._rigid_motions(), [np.zeros((0, self.anchor.size))]
         for p in self._pieces:
             mine = (self._piece == p)[:, None, None] * R @ axes[p][:, free[p]] / np.sqrt(self._nodes[p])
-            rows.append(mine.reshape(self._may_move.size, -1).T)
+            rows.append(mine.reshape(self.anchor.size, -1).T)
         self.motions = np.concatenate(rows)
         self.piece = np.repeat(self._pieces, [free[p].sum() for p in self._pieces])
         self.stiffness = self._k[self.piece]
@@ -97,17 +97,17 @@ class Ties:
         """What resists rigid motions: from the displacements that nodal forces (owned dofs,) lead to (collective)."""
         R = self._rigid_motions()
         for p in self._pieces:
-            m = ((self._piece == p)[:, None, None] * R / np.sqrt(self._nodes[p])).reshape(self._may_move.size, -1)
+            m = ((self._piece == p)[:, None, None] * R / np.sqrt(self._nodes[p])).reshape(self.anchor.size, -1)
             flexibility = m.T @ np.stack([response(column) for column in m.T], axis=1)
             self.resistance[p] = np.linalg.pinv(self._bodies.comm.allreduce(flexibility, MPI.SUM))
 
     def _rigid_motions(self) -> Array:
         """(owned nodes, gdim, motions) of the piece that each node is of, at the present positions, orthonormal in the mean
-        over the piece's nodes; prescribed components are 0 (collective)."""
+        over the piece's nodes (collective)."""
         b, d = self._bodies, self._bodies.gdim
         x = b.owned_positions() + b.get().reshape(-1, d)
         x = x - (b.comm.allreduce(self._by_piece(x), MPI.SUM) / self._nodes[:, None])[self._piece]
-        R = rigid_motions(x) * self._may_move[:, :, None]
+        R = rigid_motions(x)
         gram = b.comm.allreduce(self._by_piece(np.swapaxes(R, 1, 2) @ R), MPI.SUM) / self._nodes[:, None, None]
         square, axes = np.linalg.eigh(gram)
         root = np.sqrt(np.maximum(square, 1e-300))
@@ -130,14 +130,14 @@ class Ties:
     def share(self, forces: Array, pressed: float) -> Array:
         """(pieces,) resultant of nodal forces (owned dofs,) along the tied motions at the present positions, as a share of
         the force `pressed` (N), collective."""
-        f = forces.reshape(self._may_move.shape)
+        f = forces.reshape((len(self._piece), self._bodies.gdim))
         total = self._bodies.comm.allreduce(self._by_piece(np.einsum("nim,ni->nm", self._rigid_motions(), f)), MPI.SUM)
         return np.asarray(np.linalg.norm((self._free @ total[:, :, None])[:, :, 0], axis=1) / pressed)
 
     def springs(self) -> Array:
         """(owned nodes, gdim, gdim) stiffness (N/m) of weak springs at the nodes, along the motions."""
         m = (
-            self.motions.reshape(len(self.motions), *self._may_move.shape)
+            self.motions.reshape(len(self.motions), *(len(self._piece), self._bodies.gdim))
             * np.sqrt(self._nodes[self.piece])[:, None, None]
         )
         return np.asarray(np.einsum("a,ani,anj->nij", WEAK * self.stiffness, m, m))
