@@ -391,6 +391,7 @@ class NewtonSolver:
         right.axpy(-1.0, here.getNestSubVecs()[0])
         right.scale(1.0 / δ)
         self.snes.getKSP().solve(there, z)
+        self.linear.add_ties(z)
         along = [path.direction @ v.getNestSubVecs()[0].array_r for v in (y, z)]
         dy, dz = (p.comm.allreduce(float(a), MPI.SUM) for a in along)
         y.axpy(-dy / dz, z)
