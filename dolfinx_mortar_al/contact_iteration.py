@@ -105,7 +105,9 @@ class ContactIteration:
         bulk, left = LinearisedBulk(p), 0 if settled else self._linear.affordable_solves()
         self._total.set(0.0)
         size = least = self._balance(bulk, y)
-        self._keep()
+        may_go_back = self._linear.is_solid  # in the plane thin belts would fly off
+        if may_go_back:
+            self._keep()
         while left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
             matrix = bulk.renew()
             self._linear.renew_contact(matrix)
@@ -116,10 +118,10 @@ class ContactIteration:
             self._step.waxpy(1.0, y, self._total)
             size = self._balance(bulk, self._step)
             patterns.append(p.contact_pattern())
-            if size < least:
+            if may_go_back and size < least:
                 least = size
                 self._keep()
-        if size > least and self._linear.is_solid:
+        if may_go_back and size > least:
             self._go_back()
         corrected = may_correct and self._correct(bulk, start)
         if len(patterns) == 1 and not corrected:
@@ -168,7 +170,7 @@ class ContactIteration:
     def _evaluate(self) -> None:
         """Bring the pairs and their active sets up to date with z, at the points as they are: contact's state is compared
         point by point. In space gaps are off by what GMRES leaves in the next step, as they are linear but for contact; in
-        the plane their whole error counts: thin belts would fly off."""
+        the plane their whole error counts."""
         p = self.problem
         p.unpack(self._z)
         for pair in p.pairs:
@@ -178,7 +180,7 @@ class ContactIteration:
             pair.holds_points = False
         p.set_gaps(self._f)
         self._f.axpy(-1.0, self._goal)
-        if self._linear.is_solid:
+        if self._linear.is_solid:  # the other rule that thin belts do not bear
             self._f.scale(LINEAR)
         p.choose(self._f)
 

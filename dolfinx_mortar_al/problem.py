@@ -234,7 +234,7 @@ class ContactProblem:
         self._spring_shares = self.bodies.spring_shares(diagonals, self._touched)
         #: of pieces that contact alone holds, without friction and any prescribed component; None if there are none
         self.ties = self._create_ties()
-        self._pressed = 0.0  # most of the contact forces in this solve (N)
+        self._pressed: Array = np.zeros(self.bodies.pieces)  # most of the contact forces in this solve (N)
         if self.ties is not None:
             self.members["ties"] = self.ties
         for k in range(1, n):
@@ -500,18 +500,22 @@ class ContactProblem:
         return Ties(self.bodies, np.where(held[self.bodies.piece_of_dof], 0.0, stiffness))
 
     def ties_bear(self) -> tuple[Array, Array]:
-        """(pieces,) what ties bear, and what loads push with along the same motions, as shares of the contact forces, of
-        the largest in this solve: what one side alone presses on is pushed away from it (collective)."""
+        """(pieces,) what ties bear, and what loads push with along the same motions, as shares of the contact forces on
+        each piece, of the largest in this solve: what one side alone presses on is pushed away from it (collective)."""
         assert self.ties is not None
-        f = self.ties.forces()
-        self._pressed = max(self._pressed, sum(float(np.linalg.norm(pair.force())) for pair in self.pairs))
-        return self.ties.share(f, self._pressed), self.ties.share(self.bulk_forces.array_r - f, self._pressed)
+        f, pressed = self.ties.forces(), np.zeros(self.bodies.pieces)
+        for pair, touched in zip(self.pairs, self._touched, strict=True):
+            pressed += touched * float(np.linalg.norm(pair.force()))
+        np.maximum(self._pressed, pressed, out=self._pressed)
+        loads = self.bulk_forces.array_r - f
+        return self.ties.along(f) / self._pressed, self.ties.along(loads) / self._pressed
 
     def start_ties(self) -> None:
         """At the start of a solve: along motions that next to nothing resisted in the last equilibrium, or along all
         before the first one (collective)."""
         if self.ties is not None:
-            self._pressed = float(self.force_floor.max()) / UNSEEN
+            self._pressed = np.asarray(self.force_floor / UNSEEN)
+            self.ties.borne[:] = 0.0
             self.ties.engage(everything=any(pair.active.guessed for pair in self.pairs))
 
     def move_ties(self, f: PETSc.Vec, on: float) -> bool:

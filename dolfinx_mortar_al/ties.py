@@ -127,20 +127,17 @@ class Ties:
         """(owned dofs,) forces (N) of the ties in use for displacements u (owned dofs,), collective."""
         return (self.stiffness * self.times(u)) @ self.motions if self.acts else np.zeros_like(u)
 
-    def share(self, forces: Array, pressed: float) -> Array:
-        """(pieces,) resultant of nodal forces (owned dofs,) along the tied motions at the present positions, as a share of
-        the force `pressed` (N), collective."""
-        f = forces.reshape((len(self._piece), self._bodies.gdim))
+    def along(self, forces: Array) -> Array:
+        """(pieces,) resultant (N) of nodal forces (owned dofs,) along the tied motions at the present positions
+        (collective)."""
+        f = forces.reshape(len(self._piece), -1)
         total = self._bodies.comm.allreduce(self._by_piece(np.einsum("nim,ni->nm", self._rigid_motions(), f)), MPI.SUM)
-        return np.asarray(np.linalg.norm((self._free @ total[:, :, None])[:, :, 0], axis=1) / pressed)
+        return np.asarray(np.linalg.norm((self._free @ total[:, :, None])[:, :, 0], axis=1))
 
     def springs(self) -> Array:
         """(owned nodes, gdim, gdim) stiffness (N/m) of weak springs at the nodes, along the motions."""
-        m = (
-            self.motions.reshape(len(self.motions), *(len(self._piece), self._bodies.gdim))
-            * np.sqrt(self._nodes[self.piece])[:, None, None]
-        )
-        return np.asarray(np.einsum("a,ani,anj->nij", WEAK * self.stiffness, m, m))
+        m = self.motions.reshape(-1, len(self._piece), self._bodies.gdim)
+        return np.asarray(np.einsum("a,ani,anj->nij", WEAK * self.stiffness * self._nodes[self.piece], m, m))
 
     # ---------------------------------------------------------------- steps
 
