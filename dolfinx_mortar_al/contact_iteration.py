@@ -61,6 +61,8 @@ class ContactIteration:
         self, problem: ContactProblem, linear: LinearSolver, size: Callable[[PETSc.Vec], float], longest: float
     ) -> None:
         self.problem, self._linear, self._size, self._longest = problem, linear, size, longest
+        # in the plane thin belts would fly off, and membranes take more iterations, by what settles contact in space
+        self._is_solid = linear.is_solid
         self.steps = self.solves = 0
         self._z, self._step, self._total, self._best = (problem.x.duplicate() for _ in range(4))
         self._f, self._goal = problem.residual.duplicate(), problem.residual.duplicate()
@@ -99,14 +101,13 @@ class ContactIteration:
         z.waxpy(-1.0, y, x)
         self._evaluate()
         self._at_z, patterns = True, [p.contact_pattern()]
-        settled, may_correct = patterns[0] == before, share == 1.0 and self._linear.is_solid
+        settled, may_correct = patterns[0] == before, share == 1.0 and self._is_solid
         if settled and not may_correct:
             return None
         bulk, left = LinearisedBulk(p), 0 if settled else self._linear.affordable_solves()
         self._total.set(0.0)
         size = least = self._balance(bulk, y)
-        may_go_back = self._linear.is_solid  # in the plane thin belts would fly off
-        if may_go_back:
+        if self._is_solid:
             self._keep()
         while left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
             matrix = bulk.renew()
@@ -118,10 +119,10 @@ class ContactIteration:
             self._step.waxpy(1.0, y, self._total)
             size = self._balance(bulk, self._step)
             patterns.append(p.contact_pattern())
-            if may_go_back and size < least:
+            if self._is_solid and size < least:
                 least = size
                 self._keep()
-        if may_go_back and size > least:
+        if self._is_solid and size > least:
             self._go_back()
         corrected = may_correct and self._correct(bulk, start)
         if len(patterns) == 1 and not corrected:
@@ -180,7 +181,7 @@ class ContactIteration:
             pair.holds_points = False
         p.set_gaps(self._f)
         self._f.axpy(-1.0, self._goal)
-        if self._linear.is_solid:  # the other rule that thin belts do not bear
+        if self._is_solid:
             self._f.scale(LINEAR)
         p.choose(self._f)
 
@@ -200,7 +201,9 @@ class ContactIteration:
         self._ksp.setOperators(matrix)
         self._ksp.solve(self._f, self._step)
         motion = self.problem.longest_motion(self._step.getNestSubVecs()[0].array_r)
-        if motion > self._longest:  # pressures of points closed by mistake may exceed the stiffness of what they press
+        if (
+            self._is_solid and motion > self._longest
+        ):  # pressures of points closed by mistake may exceed the stiffness of what they press
             self._step.scale(self._longest / motion)
         solves = self._ksp.getIterationNumber() + 1
         self.steps, self.solves = self.steps + 1, self.solves + solves

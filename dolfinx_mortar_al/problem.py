@@ -486,7 +486,7 @@ class ContactProblem:
         A.setValuesRCV(mine, mine, (share * k.array_r)[:, None, None], _ADD)
         if self.ties is not None and self.ties.acts:
             nodes = mine.reshape(-1, self.gdim)
-            A.setValuesRCV(nodes, nodes, self.ties.springs(), _ADD)
+            A.setValuesRCV(nodes, nodes, self.ties.springs(multigrid=self.spare_pattern), _ADD)
 
     def _create_ties(self) -> Ties | None:
         if self.springs is None:

@@ -29,7 +29,10 @@ Index = NDArray[np.int64]
 STIFFNESS = 0.1  # of a tie, as a share of what a piece resists a deformation of its own size with
 NEUTRAL = 0.1  # share of a tie below which what resists a motion leaves it free
 SAME = 0.1  # difference of two projections onto motions that count as the same
-WEAK = 1e-6  # share of a tie that springs at the nodes have, which make the sparse part of the Jacobian regular
+WEAK, WEAK_TO_MULTIGRID = (
+    1e-6,
+    1e-3,
+)  # share of a tie that springs at the nodes have, which make the sparse Jacobian regular
 
 
 class Ties:
@@ -134,10 +137,12 @@ class Ties:
         total = self._bodies.comm.allreduce(self._by_piece(np.einsum("nim,ni->nm", self._rigid_motions(), f)), MPI.SUM)
         return np.asarray(np.linalg.norm((self._free @ total[:, :, None])[:, :, 0], axis=1))
 
-    def springs(self) -> Array:
-        """(owned nodes, gdim, gdim) stiffness (N/m) of weak springs at the nodes, along the motions."""
+    def springs(self, *, multigrid: bool) -> Array:
+        """(owned nodes, gdim, gdim) stiffness (N/m) of weak springs at the nodes, along the motions: weaker for factors than
+        for `multigrid`."""
+        weak = WEAK_TO_MULTIGRID if multigrid else WEAK
         m = self.motions.reshape(-1, len(self._piece), self._bodies.gdim)
-        return np.asarray(np.einsum("a,ani,anj->nij", WEAK * self.stiffness * self._nodes[self.piece], m, m))
+        return np.asarray(np.einsum("a,ani,anj->nij", weak * self.stiffness * self._nodes[self.piece], m, m))
 
     # ---------------------------------------------------------------- steps
 
