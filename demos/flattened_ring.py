@@ -23,7 +23,7 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from demos.demo_options import add_options
+from demos.demo_options import add_options, parse
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, obstacles, output, quasistatic
 from meshes.round_bodies import Round, RoundBodies
 
@@ -41,7 +41,7 @@ def options() -> argparse.Namespace:
     add("--size", type=float, default=0.0075, help="of the elements in m (%(default)s)")
     add("--order", type=int, default=2, choices=(1, 2), help="of displacement and geometry (%(default)s)")
     add_options(parser, "flattened_ring", figure=6)
-    args = parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
+    args = parse(parser)
     args.closing = args.bore + 0.02 * RADIUS if args.closing is None else args.closing
     return args
 

@@ -20,7 +20,7 @@ import numpy as np
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
-from demos.demo_options import add_options
+from demos.demo_options import add_options, parse
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, output, quasistatic
 
 PLATE, BLOCK = (2.0, 1.5, 0.8), (1.0, 1.0, 0.5)  # sizes (m)
@@ -43,7 +43,7 @@ def options() -> argparse.Namespace:
     add("--increments", type=int, nargs=2, default=(2, 4), help="steps of pressing and of dragging (%(default)s)")
     add("--verbose", action="store_true", help="show the log, such as which linear solver is chosen")
     add_options(parser, "press_and_drag", figure=7)
-    return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
+    return parse(parser)
 
 
 def counts(size: tuple[float, ...], per_metre: float) -> list[int]:

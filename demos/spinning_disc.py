@@ -24,7 +24,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from demos.demo_options import add_options
+from demos.demo_options import add_options, parse
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, monitors, obstacles, output
 from meshes.disc import RIM, Disc
 
@@ -55,7 +55,7 @@ def options() -> argparse.Namespace:
     add("--gap", type=float, default=0.0, help="between disc and plane at the start in m (%(default)s)")
     add_options(parser, "spinning_disc", figure=4)
     add("--animate", action="store_true", help="write spinning_disc.gif")
-    return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
+    return parse(parser)
 
 
 def simulate(args: argparse.Namespace, spin: str, directory: Path) -> tuple:

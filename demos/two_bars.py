@@ -21,7 +21,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from demos.demo_options import add_options
+from demos.demo_options import add_options, parse
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, output
 from exact.two_bars import TwoBars as Exact
 from meshes.two_bars import BAR1, BAR2, FACE1, FACE2, TwoBars
@@ -46,7 +46,7 @@ def options() -> argparse.Namespace:
     add("--force", default="consistent", choices=("consistent", "trapezoidal"), help="internal force (%(default)s)")
     add("--gap", type=float, default=0.0, help="between the bars at first, in m (%(default)s)")
     add_options(parser, "two_bars", figure=3)
-    return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
+    return parse(parser)
 
 
 def simulate(args: argparse.Namespace, directory: Path) -> output.History:

@@ -20,7 +20,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from demos.demo_options import add_options
+from demos.demo_options import add_options, parse
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, loads, materials, output, quasistatic
 from meshes.two_beams import CLAMP, LOWER_TOP, TIP, UPPER, UPPER_BOTTOM, TwoBeams
 
@@ -50,7 +50,7 @@ def options() -> argparse.Namespace:
     add("--triangles", action="store_true", help="simplices instead of quadrilaterals or hexahedra")
     add("--swap", action="store_true", help="make the lower beam the contactor")
     add_options(parser, "two_beams", figure=1)
-    return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
+    return parse(parser)
 
 
 def simulate(args: argparse.Namespace, friction: float, directory: Path) -> tuple:

@@ -21,7 +21,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from demos.demo_options import add_options
+from demos.demo_options import add_options, parse
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, loads, membrane, monitors, output, quasistatic
 from exact.two_membranes import TwoMembranes as Exact
 from meshes.two_membranes import EDGE, LOWER, UPPER, TwoMembranes
@@ -46,7 +46,7 @@ def options() -> argparse.Namespace:
     add("--dim", type=int, default=2, choices=(2, 3), help="curves, or square membranes fixed all round (%(default)s)")
     add("--swap", action="store_true", help="make the lower membrane the contactor")
     add_options(parser, "two_membranes", figure=2)
-    return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
+    return parse(parser)
 
 
 def simulate(args: argparse.Namespace, case: tuple[float, float, float], directory: Path) -> tuple:

@@ -26,6 +26,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
+from demos.demo_options import add_options, parse
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, output
 from meshes.round_bodies import Round, RoundBodies
 
@@ -44,11 +45,9 @@ def options() -> argparse.Namespace:
     add("--order", type=int, default=2, choices=(1, 2), help="of displacement and geometry (%(default)s)")
     add("--step", type=float, default=5e-4, help="Δt in s (%(default)s)")
     add("--time", type=float, default=0.08, help="final time in s (%(default)s)")
-    add("--output", type=Path, default=Path("results/two_rings"), help="folder for the results (%(default)s)")
-    add("--no-figure", action="store_true", help="skip figure5.png")
-    add("--paraview", action="store_true", help="write .bp series")
+    add_options(parser, "two_rings", figure=5)
     add("--animate", action="store_true", help="write two_rings.gif")
-    return parser.parse_known_args()[0]  # the rest are PETSc options, such as -contact_snes_monitor
+    return parse(parser)
 
 
 def simulate(args: argparse.Namespace, directory: Path) -> tuple:
@@ -69,9 +68,10 @@ def simulate(args: argparse.Namespace, directory: Path) -> tuple:
     for k in range(2):
         dx = materials.cell_measure(u, ufl.Measure("dx", mesh, subdomain_data=bodies)(rings.cells(k)))
         forms += [*motion.energy_forms(dx), fem.form((x[0] * p[1] - x[1] * p[0]) * dx)]
-    run = output.Run(problem, directory, COLUMNS, vars(args), args.paraview)
+    run = output.Run(problem, directory, COLUMNS, vars(args), args.paraview, checkpoint=args.checkpoint)
+    rest = {"to": args.time, "start": run.start, "ledger": run.ledger}
     frames = []
-    for step in dynamics.march(problem, to=args.time):
+    for step in dynamics.march(problem, **rest) if run.start < args.time * (1 - 1e-9) else ():
         kinetic_1, strain_1, spin_1, kinetic_2, strain_2, spin_2 = (motion.integral(form) for form in forms)
         ledger, (fx, fy) = step.ledger, step.forces[0]
         run.record(

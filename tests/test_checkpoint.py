@@ -61,6 +61,7 @@ DEMOS = {
     "two_membranes": ["--cells", "12", "12", "--increments", "12", "--friction", "0"],
     "two_bars": ["--cells", "6"],
     "spinning_disc": ["--size", "0.04", "--spin", "slice"],
+    "two_rings": ["--size", "0.02", "--step", "1e-3", "--time", "0.012"],
 }
 
 

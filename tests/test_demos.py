@@ -106,6 +106,15 @@ def test_two_rings_keep_momenta_and_energy(monkeypatch, shared_path):
         assert (shared_path / "figure5.png").stat().st_size > 10_000
 
 
+def test_a_mistyped_option_is_refused_and_petscs_own_are_not(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["two_rings.py", "-contact_snes_monitor", "--frictoin", "0.1"])
+    with pytest.raises(SystemExit):
+        two_rings.options()
+    assert "unknown option --frictoin" in capsys.readouterr().err
+    monkeypatch.setattr(sys, "argv", ["two_rings.py", "-contact_snes_monitor", "--friction", "0.1"])
+    assert two_rings.options().friction == 0.1
+
+
 def test_a_mesh_file_of_ones_own(shared_path):
     """The builder's .msh, read back in parallel with its tags."""
     beams = TwoBeams(along=(4, 5), across=2)
