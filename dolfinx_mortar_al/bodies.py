@@ -294,9 +294,12 @@ class Bodies:
 
     def resultants(self, values: Array) -> Array:
         """(pieces,) largest component of the sum of nodal forces (owned dofs,) on each piece over the root of its number of
-        nodes, along the axes in which nothing of the piece is prescribed (collective)."""
+        nodes, of floating pieces along the axes in which nothing is prescribed (collective): of what springs or inertia hold
+        the forces on the whole are as large as theirs."""
         if self._free_axes is None:
-            free = np.ones((self.pieces, self.gdim))
+            free = np.zeros((self.pieces, self.gdim))
+            for body, first in zip(self.bodies, self.first_piece, strict=True):
+                free[[first + piece.number for piece in body.floating]] = 1.0
             for body, first in zip(self.bodies, self.first_piece, strict=True):
                 np.minimum.at(free, body.piece + first, 1.0 - body.prescribed().x.array.reshape(-1, self.gdim))
             nodes = np.bincount(self.piece_of_dof, minlength=self.pieces) / self.gdim

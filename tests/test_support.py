@@ -11,6 +11,7 @@ from dolfinx_mortar_al import (
     Body,
     Contact,
     ContactProblem,
+    NewtonSolver,
     Surface,
     dynamics,
     materials,
@@ -91,6 +92,24 @@ def test_a_loose_block_is_tried_from_its_last_state_before_an_increment_is_cut(f
     steps = quasistatic.march(problem, load, to=LOAD, increments=4, solver=FailingSolver(problem, failures))
     assert [(step.load / LOAD, step.rejected) for step in steps] == shares
     assert problem.pairs[0].force() == pytest.approx([-0.1 * LOAD, 0.5 * LOAD], rel=1e-6)
+
+
+def test_inertia_of_a_form_of_ones_own_has_no_resultant_to_wait_for():
+    """A free block above a plate it does not reach, with a step's inertia in its UFL form: it flies at its speed. The sum of
+    its forces is round-off of forces that balance, which Newton waited for in vain as if nothing held the block."""
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [[0, 1], [0.7, 1.3]], [7, 3])
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    edges = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 1.0))
+    tags = mesh.meshtags(domain, 1, edges, np.ones(len(edges), dtype=np.int32))
+    Δt, v = fem.Constant(domain, 1e-3), ufl.as_vector([0.37, -0.11])
+    inertia = 1e3 / Δt**2 * ufl.inner(u - Δt * v, ufl.TestFunction(u.function_space)) * ufl.dx
+    F = materials.neo_hookean(1e5, 0.3).virtual_work(u) + inertia
+    contact = Contact(Surface(domain, tags, 1), obstacles.RigidPlane([0, 0], [0, 1]))
+    problem = ContactProblem(F, u, contacts=[contact])
+    result = NewtonSolver(problem).solve()
+    assert not problem.floating
+    assert result.converged and result.iterations <= 3
+    assert u.x.array.reshape(-1, 2) == pytest.approx(np.tile([3.7e-4, -1.1e-4], (len(u.x.array) // 2, 1)), rel=1e-9)
 
 
 def test_what_conditions_or_inertia_hold_does_not_float():
