@@ -47,7 +47,7 @@ Decisions = tuple[IntegrationPoints, tuple[Bool, Index, bool]]
 
 SOFTER = 0.125  # ε over what the bulk yields to pressure at the surface (docs/newton.md)
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
-FIRMEST = 10.0  # the same for ε_N in time steps: partly closed facets overlap by p/ε_N
+FIRMEST = 12.0  # the same for ε_N in time steps: by p/ε_N, less than 1 % of a facet, do partly closed facets overlap
 NEAR = 2.0  # of the target's facets: gaps that may close in a step
 FAR = 100.0  # times more or less than by default: where Newton has been seen to fail for ε
 DEPENDS = (
@@ -565,8 +565,10 @@ class ContactPair(PairResults):
     # ---------------------------------------------------------------- steps
 
     def use_steps(self) -> StepLevel:
-        """Take the kinematics of time steps, for impact."""
+        """Take the kinematics of time steps, for impact; there the multiplier's space is one and the same in all steps, which
+        the balance of energy needs: corners' nodes keep all of their facets."""
         if not isinstance(self.kinematics, StepLevel):
+            self.blocks.corners = None
             self.kinematics = StepLevel(self.kinematics)
             self.active.cautious = False
             self.set_law(self.stiffness, FIRMER, FIRMEST)
