@@ -403,7 +403,11 @@ class NewtonSolver:
             return "the residual is not a number at the start: a cell is inverted, or a law, load or condition has none"
         names, last = ["equilibrium", *(pair.name for pair in self.problem.pairs)], self.result.norms[-1]
         open_blocks = ", ".join(f"{n} at {v:.1e} of its tolerance" for n, v in zip(names, last, strict=True) if v > 1)
-        known = {_Reason.DIVERGED_MAX_IT: "no convergence", _Reason.DIVERGED_LINEAR_SOLVE: "the linear solve failed"}
+        known = {
+            _Reason.DIVERGED_MAX_IT: "no convergence",
+            _Reason.DIVERGED_LINEAR_SOLVE: "the linear solve failed",
+            _Reason.DIVERGED_FNORM_NAN: "the residual became infinite or not a number",
+        }
         why = known.get(reason, f"SNES stopped with reason {reason}")
         return f"{why} after {self.result.iterations} iterations: {open_blocks}{self._worst_place()}"
 
@@ -431,6 +435,11 @@ class NewtonSolver:
             for name, ratio in pair.far_off().items()
         ]:
             parts.append(f"{', '.join(far)}: leave it out")
+        elif any(sign < 0 for sign in self.result.signs) and p.motions:
+            parts.append(
+                "the Jacobian's determinant is negative on the way: matter is near inversion, or Δt is long for how it "
+                "moves; take a smaller one, or a law that resists compression"
+            )
         elif any(sign < 0 for sign in self.result.signs):
             parts.append(
                 "the Jacobian's determinant is negative on the way: an unstable equilibrium (a limit or bifurcation point) "
