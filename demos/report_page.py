@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 
-__all__ = ["Section", "page"]
+__all__ = ["Section", "page", "printed_parts"]
 
 STYLE = """
 :root { color-scheme: light dark; --line: #8884; --soft: #8881; }
@@ -71,13 +71,18 @@ def _table(rows: list[list[str]], caption: str = "") -> str:
     return f'<div class="table"><table>{inside}</table></div>'
 
 
-def _printed(text: str) -> str:
-    """What a command printed: Markdown tables as tables, the rest as it is."""
-    out = []
+def printed_parts(text: str) -> list[str | list[list[str]]]:
+    """What a command printed: Markdown tables as rows of text, the first the head, and what stands between them."""
+    parts: list[str | list[list[str]]] = []
     for is_table, lines in groupby(text.strip().splitlines(), key=lambda line: line.startswith("|")):
         if is_table:
             rows = [[cell.strip() for cell in line.strip().strip("|").split("|")] for line in lines]
-            out.append(_table([row for row in rows if set("".join(row)) - set("-:")]))
+            parts.append([row for row in rows if set("".join(row)) - set("-:")])
         elif kept := "\n".join(lines).strip():
-            out.append(f"<pre>{html.escape(kept)}</pre>")
-    return "\n".join(out)
+            parts.append(kept)
+    return parts
+
+
+def _printed(text: str) -> str:
+    parts = printed_parts(text)
+    return "\n".join(f"<pre>{html.escape(p)}</pre>" if isinstance(p, str) else _table(p) for p in parts)
