@@ -112,10 +112,9 @@ def disc(n: float, settings: Row) -> tuple[list[float], Row]:
 
 
 def press_and_drag(n: float, settings: Row) -> tuple[list[float], Row]:
-    from demos.press_and_drag import simulate, unknowns
+    from demos.press_and_drag import simulate
 
-    order = settings.get("order", 1)
-    argv = ["--size", f"{unknowns(int(n), order)}", "--order", f"{order}", *settings.get("argv", [])]
+    argv = ["--cells", f"{n:.0f}", *settings.get("argv", [])]
     history, said = _demo("press_and_drag", simulate, settings | {"argv": argv})
     return [history.rows[-1][name] for name in ("normal_force", "drag")], said
 
@@ -182,15 +181,15 @@ SCENES = {
         "normal force and drag at the end, relative",
         {
             "Q1, 2 and 4 steps": {"meshes": (4, 8, 16, 32)},
-            "Q2": {"meshes": (4, 8, 12), "order": 2},
-            "Q2, multiplier 2": {"meshes": (4, 8), "order": 2, "multiplier_order": 2},
+            "Q2": {"meshes": (4, 8, 16), "argv": ["--order", "2"]},
+            "Q2, multiplier 2": {"meshes": (4, 8), "multiplier_order": 2, "argv": ["--order", "2"]},
             "tetrahedra P1": {"meshes": (4, 8, 16), "argv": ["--tetrahedra"]},
-            "tetrahedra P2": {"meshes": (4, 8), "order": 2, "argv": ["--tetrahedra"]},
+            "tetrahedra P2": {"meshes": (4, 8), "argv": ["--tetrahedra", "--order", "2"]},
             "segments": {"meshes": (4, 8, 16), "integration": "segments"},
             "4 and 8 steps": {"meshes": (4, 8, 16), "argv": ["--increments", "4", "8"]},
         },
         press_and_drag,
-        reference=("Q1, 2 and 4 steps", 16, 32),
+        reference=("Q2", 8, 16),
     ),
 }  # fmt: skip
 

@@ -18,11 +18,12 @@ import logging
 from pathlib import Path
 
 import numpy as np
-from dolfinx import fem, mesh
+from dolfinx import fem
 from mpi4py import MPI
 
 from demos.demo_options import add_options, parse
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, output, quasistatic
+from meshes.domed_box import BOTTOM, TOP, DomedBox
 
 PLATE, BLOCK = (2.0, 1.5, 0.8), (1.0, 1.0, 0.5)  # sizes (m)
 CORNER = (0.35, 0.25, 0.8)  # of the block, on the plate
@@ -30,7 +31,6 @@ RADIUS = 1.0  # of the dome at its lowest point (m)
 COARSER = 0.7  # cells per metre in the plate over those in the block
 E_PLATE, E_BLOCK, NU = 1000.0, 100.0, 0.3  # moduli (Pa)
 DOWN, ALONG = 0.12, (0.2, 0.09)  # motion of the top (m)
-BOTTOM, TOP = 1, 2
 COLUMNS = ["stage", "normal_force", "drag", "closed", "stick", "contact_area", "newton_iterations", "wall_time"]
 
 
@@ -38,7 +38,8 @@ def options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--size", type=float, default=5e3, help="displacement unknowns, about (%(default)g)")
-    add("--order", type=int, default=1, choices=(1, 2), help="of the displacement (%(default)s)")
+    add("--cells", type=int, help="per metre of the block, in place of --size; in the plate 0.7 as many")
+    add("--order", type=int, default=1, choices=(1, 2), help="of displacement and geometry (%(default)s)")
     add("--tetrahedra", action="store_true", help="instead of hexahedra")
     add("--friction", type=float, default=0.3, help="Coulomb's μ (%(default)s)")
     add("--increments", type=int, nargs=2, default=(2, 4), help="steps of pressing and of dragging (%(default)s)")
@@ -47,42 +48,21 @@ def options() -> argparse.Namespace:
     return parse(parser)
 
 
-def counts(size: tuple[float, ...], per_metre: float) -> list[int]:
-    """Cells along a box."""
-    return [max(1, round(length * per_metre)) for length in size]
+def boxes(n: float, args: argparse.Namespace) -> list[DomedBox]:
+    """Block and plate with n cells per metre of the block."""
+    same = {"tetrahedra": args.tetrahedra, "order": args.order}
+    return [DomedBox(CORNER, BLOCK, n, radius=RADIUS, **same), DomedBox((0.0, 0.0, 0.0), PLATE, COARSER * n, **same)]
 
 
-def unknowns(n: int, order: int) -> int:
-    """Of the displacement, with n cells per metre of the block."""
-    boxes = counts(BLOCK, n), counts(PLATE, COARSER * n)
-    return sum(3 * int(np.prod([order * k + 1 for k in box])) for box in boxes)
-
-
-def cells_per_metre(size: float, order: int) -> int:
-    """Of the block, for a number of displacement unknowns nearest to `size`."""
-    return min(range(2, 400), key=lambda n: abs(unknowns(n, order) - size))
-
-
-def box(corner: tuple[float, ...], size: tuple[float, ...], per_metre: float, tetrahedra: bool, dome: bool) -> tuple:
-    """A mesh and its tags BOTTOM and TOP; with `dome` the bottom is the paraboloid r²/(2 RADIUS)."""
-    kind = mesh.CellType.tetrahedron if tetrahedra else mesh.CellType.hexahedron
-    low, high = np.array(corner), np.add(corner, size)
-    domain = mesh.create_box(MPI.COMM_WORLD, [low, high], counts(size, per_metre), kind)
-    found = [mesh.locate_entities_boundary(domain, 2, lambda x, z=z: np.isclose(x[2], z)) for z in (low[2], high[2])]
-    order = np.argsort(np.concatenate(found))
-    tags = np.repeat([BOTTOM, TOP], [len(facets) for facets in found]).astype(np.int32)
-    if dome:
-        x = domain.geometry.x
-        r2 = np.sum((x[:, :2] - (low + high)[:2] / 2) ** 2, axis=1)
-        x[:, 2] += r2 / (2 * RADIUS) * (high[2] - x[:, 2]) / size[2]
-    return domain, mesh.meshtags(domain, 2, np.concatenate(found)[order], tags[order])
+def cells_per_metre(args: argparse.Namespace) -> int:
+    """Of the block, for a number of displacement unknowns nearest to --size."""
+    return min(range(2, 400), key=lambda n: abs(sum(box.unknowns() for box in boxes(n, args)) - args.size))
 
 
 def simulate(args: argparse.Namespace, directory: Path) -> output.History:
     """Press, then drag."""
-    n = cells_per_metre(args.size, args.order)
-    block, block_tags = box(CORNER, BLOCK, n, args.tetrahedra, dome=True)
-    plate, plate_tags = box((0.0, 0.0, 0.0), PLATE, COARSER * n, args.tetrahedra, dome=False)
+    n = cells_per_metre(args) if args.cells is None else args.cells
+    (block, block_tags), (plate, plate_tags) = (box.create() for box in boxes(n, args))
     u = [fem.Function(fem.functionspace(domain, ("Lagrange", args.order, (3,)))) for domain in (block, plate)]
     top, held = fem.Constant(block, np.zeros(3)), fem.Constant(plate, np.zeros(3))
     held_by = [
