@@ -69,8 +69,12 @@ def pressed_and_dragged(
 
 
 def judged(scene: Scene) -> Verdict:
+    """The verdict of `robustness.py`; what is off and said to be in a finding has warned."""
     run = march(scene)
-    return judge(scene, run, partial(march, scene))
+    verdict, reason = judge(scene, run, partial(march, scene))
+    if verdict == "wrong" and run["findings"]:
+        return "warned", f"{reason}; findings: {', '.join(run['findings'])}"
+    return verdict, reason
 
 
 def of_one_answer(scene: Scene, force: float, other: dict[str, Any]) -> Verdict:
@@ -176,6 +180,15 @@ def tilted(lower: float, upper: float, dim: int = 2, **changes: Any) -> Scene:
     return plain(*parts, press, tilt=tilt, dim=dim, order=2 if dim == 2 else 1, geometry_order=1, **changes)
 
 
+def edge_on_edge() -> Scene:
+    """Cubes in space whose edges meet across each other, between the contactor's integration points at first."""
+    size, cells = (0.6, 0.6, 0.6), (2, 2, 2)
+    lower = body(False, size, cells, contact=("top", "front", "back"))
+    upper = body(True, size, cells, contact=("bottom", "left", "right"))
+    press, tilt = (Stage("press", 5, (0.0, -0.048, 0.0)),), (math.pi / 4, math.pi / 4)
+    return plain(lower, upper, press, tilt=tilt, dim=3, order=1, geometry_order=1)
+
+
 def by_contact_alone(friction: float) -> Scene:
     """A block that nothing but contact and, along the slab, friction holds, under its weight; then pushed by half of what
     friction bears."""
@@ -267,6 +280,7 @@ def matrix(full: bool) -> dict[str, Callable[[], Verdict]]:
     scenes |= {"corner on flat": tilted(0, 45), "corner on flat, swapped": tilted(0, 45, swap=True)}
     scenes |= {"vertex on vertex, 45°": tilted(-45, 45), "vertex on vertex, swapped": tilted(-45, 45, swap=True)}
     scenes["edge on flat in space"] = tilted(0, 45, dim=3)
+    scenes["edge on edge in space"] = edge_on_edge()
     scenes["overlap of half a facet"] = plain(gap=-0.04)
     scenes["gap of 1e-12 m"] = plain(gap=1e-12)
     scenes |= {f"held by contact alone, μ = {mu}": by_contact_alone(mu) for mu in (0.3, 1.0)}
