@@ -88,11 +88,11 @@ def test_readme_quotes_the_full_run():
 
 
 def test_the_full_run_has_nothing_wrong():
-    """Every command ended well but the verification, of which one quantity is a known miss."""
+    """Every command ended well: no case of the verification misses its tolerance, no extreme one is wrong or fails."""
     commands = report_kept.read(FULL_RUN / "commands.csv")[1:]
-    assert [name for name, *_, status, _ in commands if status != "0"] in ([], ["verify"])
+    assert [name for name, *_, status, _ in commands if status != "0"] == []
     assert {row["verdict"] for row in table("extremes")} <= {"right", "right with rejections", "refused", "warned"}
-    assert [row["quantity"] for row in table("verify") if row[""] != "ok"] in ([], ["stick half angle, one step"])
+    assert {row[""] for row in table("verify")} == {"ok"}
 
 
 def test_extrapolation_of_a_known_limit():

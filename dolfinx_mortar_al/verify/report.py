@@ -60,7 +60,6 @@ def write(folder: Path, done: Mapping[str, tuple[Case, Outcome]]) -> Path:
     pictures = folder / "verification"
     pictures.mkdir(parents=True, exist_ok=True)
     lines = [line for case, outcome in done.values() for line in rows(case, outcome)]
-    missed = [line for line in lines if not line.hit]
     page = [
         "# Verification",
         "",
@@ -68,10 +67,6 @@ def write(folder: Path, done: Mapping[str, tuple[Case, Outcome]]) -> Path:
         table(lines),
         "",
     ]
-    if missed:
-        page += ["Missed, and why:", ""]
-        page += [f"- {line.case}, {line.quantity.name}: {line.quantity.known or 'not known'}." for line in missed]
-        page.append("")
     for case, outcome in done.values():
         page += [f"## {case.title}", f"`--case {case.name}`. {case.description}", ""]
         _figure(case, outcome, pictures / f"{case.name}.png")
