@@ -47,6 +47,7 @@ class Task:
 
 
 DEMO = "demos/{0}.py --checkpoint --output {{folder}}/{0}"
+VERIFY = "-m dolfinx_mortar_al.verify --report {folder}/verify"
 TASKS = [
     Task("two_beams", "Two beams (section 4.1)", DEMO.format("two_beams"), "--increments 5", seconds=8),
     Task("two_membranes", "Two membranes (section 4.2)", DEMO.format("two_membranes"), "--cells 40 40", seconds=90),
@@ -54,7 +55,7 @@ TASKS = [
     Task("spinning_disc", "A spinning disc (section 4.4)", DEMO.format("spinning_disc"), "--size 0.04", seconds=120),
     Task("two_rings", "Two rings collide", DEMO.format("two_rings"), "--time 0.03", seconds=120),
     Task("flattened_ring", "A ring pressed flat", DEMO.format("flattened_ring"), "--size 0.015", seconds=15),
-    Task("verify", "Cases with known answers", "-m dolfinx_mortar_al.verify --report {folder}/verify", "--quick", seconds=350),
+    Task("verify", "Cases with known answers", VERIFY, "--quick", seconds=350),
     Task("work_precision", "Error against run time", "benchmarks/work_precision.py --page", full=True, seconds=20),
     Task("beams", "Beams: wall time", "benchmarks/two_beams.py", full=True, seconds=900),
     Task("membranes", "Membranes: error", "benchmarks/two_membranes.py --tables 1", full=True, seconds=1500),
