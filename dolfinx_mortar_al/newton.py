@@ -35,10 +35,8 @@ MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
 MAX_FREEZES = 20  # times that friction bounds are brought up to date in a solve
 NEARLY = 0.05  # error of frozen bounds, as a share of the largest μp, below which they are freed
 BOUND_TOLERANCE = 1e-6  # on a frozen friction bound, as a share of the largest μp
-WANDERS_AFTER, SETTLED = (
-    8,
-    3,
-)  # iterations without progress, the last with no point opened or closed: then bounds are frozen
+WANDERS_AFTER = 8  # iterations without progress after which friction bounds are frozen,
+SETTLED = 3  # if in so many of them, the last, no point has opened or closed
 HELD = 0.9  # share of what a tie bore, of which it bears less at the next place where something resists the slide
 PUSHED = 0.01  # of the contact forces: what loads push with must be resisted by more than a tie
 SLIDES = 0.1  # of the contact forces: what is left of a coarse mesh's pressures along a slide is less
