@@ -83,6 +83,8 @@ def test_readme_quotes_the_full_run():
     assert max(float(row["E/E₀ − 1, largest"]) for row in discs) == above
     assert max(float(row["angular momentum"]) for row in discs) == spin
     assert max(float(row["deepest"].rstrip("%")) for row in discs) < 1.0
+    patches = [row["segments (points)"].split()[0] for row in table("patch") if "segments (points)" in row]
+    assert max(map(float, patches)) == float(quoted("patch test"))
     (reversals,) = [row for row in table("extremes") if "load reversals" in row["case"]]
     assert f"the same to {float(quoted('stuck blocks')):.1e} " in reversals[""]
 
