@@ -26,6 +26,7 @@ class Predictor:
         self._abscissae: list[float] = []
         self._states: list[Snapshot] = []
         self._guesses = 1  # among the states: the start's contact
+        self._touching: list[bool] = []  # of each pair, in the last state
         #: of each predicted array, the polynomial order to predict it with
         self._order = {(member, name): 1 for member, name in self._predicted()}
 
@@ -34,8 +35,13 @@ class Predictor:
         return [("bodies", "u"), *((f"pair{k}", "multiplier") for k in range(len(self.problem.pairs)))]
 
     def add(self, abscissa: float) -> None:
-        """A state has converged; choose the polynomial orders that would have predicted it well."""
+        """A state has converged; choose the polynomial orders that would have predicted it well. Where a pair has touched or
+        parted since the last one, the states before say nothing of what comes (collective)."""
         state = self.problem.snapshot()
+        touching = [pair.closed_fraction() > 0.0 for pair in self.problem.pairs]
+        if self._states and touching != self._touching:
+            self._forget(keep=0)
+        self._touching = touching
         for array in self._order:
             self._order[array] = self._best_order(state, array, abscissa)
         self._abscissae, self._states = [*self._abscissae, abscissa], [*self._states, state]
@@ -47,10 +53,15 @@ class Predictor:
         """From here on the abscissa is another: 0 at the last state and `scale` times the distances there were; 0 where
         loading takes another direction, in which the states before say nothing of what comes."""
         if scale <= 0.0 and len(self._states) > 1:
-            del self._abscissae[:-1], self._states[:-1]
-            self._guesses = 0
-            self._order = dict.fromkeys(self._order, 1)
+            self._forget(keep=1)
         self._abscissae = [scale * (x - self._abscissae[-1]) for x in self._abscissae]
+
+    def _forget(self, keep: int) -> None:
+        """All but the last `keep` states."""
+        last = len(self._states) - keep
+        del self._abscissae[:last], self._states[:last]
+        self._guesses = 0
+        self._order = dict.fromkeys(self._order, 1)
 
     def restore(self) -> None:
         """Undo: back to the last converged state."""

@@ -135,6 +135,16 @@ def test_with_friction_the_slipping_branch_is_met():
     assert problem.pairs[0].stick_fraction() == 0.0
 
 
+def test_states_before_the_first_touch_predict_nothing_after_it():
+    """Shift 0.5 m, μ = 0.5: free membranes touch at 2168 Pa. Extrapolated from before, the next increment took 20 iterations
+    and a rejected trial on one rank and 32 iterations on two."""
+    problem, p = membranes(cells=(40, 40), friction=0.5, shift=0.5)
+    steps = list(quasistatic.march(problem, p, to=2710.0, increments=10))
+    assert problem.pairs[0].closed_fraction() > 0.0
+    assert sum(step.rejected for step in steps) == 0
+    assert max(step.iterations for step in steps[1:]) <= 10
+
+
 @pytest.mark.parametrize("μ, limit", [(0.0, 4380.47), (0.5, 4670.9)])
 def test_the_march_ends_where_the_membranes_lock(μ, limit):
     """40 cells meet the limit within a facet of the edge: 0.8 % without friction, 0.5 % with."""
