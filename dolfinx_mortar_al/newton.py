@@ -23,6 +23,7 @@ from dolfinx_mortar_al.validation import number, whole
 __all__ = ["NewtonResult", "NewtonSolver", "Path"]
 
 _Reason = PETSc.SNES.ConvergedReason
+NOT_FINITE = -4  # a reason that PETSc has renamed
 
 FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane's stiffness in its own plane
 LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, as a share of the largest pressure
@@ -404,7 +405,7 @@ class NewtonSolver:
         known = {
             _Reason.DIVERGED_MAX_IT: "no convergence",
             _Reason.DIVERGED_LINEAR_SOLVE: "the linear solve failed",
-            _Reason.DIVERGED_FNORM_NAN: "the residual became infinite or not a number",
+            NOT_FINITE: "the residual became infinite or not a number",
         }
         why = known.get(reason, f"SNES stopped with reason {reason}")
         return f"{why} after {self.result.iterations} iterations: {open_blocks}{self._worst_place()}"
