@@ -227,6 +227,22 @@ def reversals(n: int) -> Verdict:
     return verdict, f"forces at the turning points the same to {drift:.1e} in {n} reversals, {rejected} rejected"
 
 
+def locking() -> None:
+    """Force of the pressed block against that of order 2 on a mesh four times as fine, as ν tends to 1/2."""
+
+    def force(nu: float, order: int, finer: int) -> float:
+        lower = body(False, (2.4, 0.5), (20 * finer, 4 * finer), nu=nu)
+        upper = body(True, (1.0, 0.5), (12 * finer, 4 * finer), nu=nu, profile=("round", 0.1))
+        press = pressed_and_dragged(facet=FACET / finer)[:1]
+        return float(march(plain(lower, upper, press, order=order, geometry_order=order))["forces"][0][1])
+
+    print("| ν | order 1 | order 1, mesh twice as fine | order 2 | order 2, mesh twice as fine |\n" + "|---" * 5 + "|")
+    for nu in (0.3, 0.45, 0.49, 0.499, 0.4999):
+        exact = force(nu, 2, 4)
+        misses = (force(nu, order, finer) / exact - 1 for order in (1, 2) for finer in (1, 2))
+        print(f"| {nu} | {' | '.join(f'{miss:+.1%}' for miss in misses)} |", flush=True)
+
+
 # ---------------------------------------------------------------- impact
 
 
@@ -325,9 +341,12 @@ def main() -> None:
     parser.add_argument("--timeout", type=float, default=600.0, help="of a cell in s (%(default)s)")
     parser.add_argument("--results", type=Path, default=ROOT / "results/extremes.jsonl", help="(%(default)s)")
     parser.add_argument("--one", metavar="NAME", help="run this cell here and print JSON")
+    parser.add_argument("--locking", action="store_true", help="only a table of what elements make of ν near 1/2")
     args = parser.parse_args()
     if args.one:
         return one(args.one, args.full)
+    if args.locking:
+        return locking()
     names = [name for name in matrix(args.full) if args.only in name]
     args.results.parent.mkdir(parents=True, exist_ok=True)
     timeout = 10 * args.timeout if args.full else args.timeout
