@@ -69,12 +69,11 @@ def pressed_and_dragged(
 
 
 def judged(scene: Scene) -> Verdict:
-    """The verdict of `robustness.py`; what is off and said to be in a finding has warned."""
+    """The verdict of `robustness.py`; an overlap that a finding tells has warned."""
     run = march(scene)
     verdict, reason = judge(scene, run, partial(march, scene))
-    if verdict == "wrong" and run["findings"]:
-        return "warned", f"{reason}; findings: {', '.join(run['findings'])}"
-    return verdict, reason
+    told = [name for name in run["findings"] if "overlap" in name]
+    return ("warned", f"{reason}; findings: {', '.join(told)}") if verdict == "wrong" and told else (verdict, reason)
 
 
 def of_one_answer(scene: Scene, force: float, other: dict[str, Any]) -> Verdict:

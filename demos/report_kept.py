@@ -9,7 +9,7 @@ from pathlib import Path
 from demos.report_page import printed_parts
 from demos.report_tables import effort, histories
 
-__all__ = ["HEAD", "keep", "page", "read"]
+__all__ = ["keep", "page", "read"]
 
 HEAD = """# A full run
 Written from the files in [full_run/](full_run) that `./run python3 demos/reproduce.py --full --keep docs/full_run` left: the
@@ -31,8 +31,9 @@ def _write(path: Path, rows: Rows) -> None:
 
 def keep(titles: dict[str, str], done: dict[str, dict], made: str, output: Path, folder: Path) -> None:
     """Write the files of the commands that are `done`, their titles by name, `made` with what, and the page beside them."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in (path for name in titles for path in folder.glob(f"{name}.*")):
+        old.unlink()
     commands = [["name", "title", "command", "status", "seconds"]]
     for name in (name for name in titles if name in done):
         it, mine = done[name], output / name

@@ -29,10 +29,8 @@ Index = NDArray[np.int64]
 STIFFNESS = 0.1  # of a tie, as a share of what a piece resists a deformation of its own size with
 NEUTRAL = 0.1  # share of a tie below which what resists a motion leaves it free
 SAME = 0.1  # difference of two projections onto motions that count as the same
-WEAK, WEAK_TO_MULTIGRID = (
-    1e-6,
-    1e-3,
-)  # share of a tie that springs at the nodes have, which make the sparse Jacobian regular
+WEAK = 1e-6  # share of a tie that springs at the nodes have, which make the sparse Jacobian regular,
+WEAK_TO_MULTIGRID = 1e-3  # where multigrid inverts it
 
 
 class Ties:

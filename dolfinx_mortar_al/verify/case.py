@@ -73,8 +73,8 @@ class Run:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What comes of a case: its runs from coarse to fine, remarks on what they show (Markdown), and how many times
-    coarser than in the full suite its finest mesh is.
+    """What comes of a case: its runs from coarse to fine, remarks on what they show (Markdown), and for how many
+    times coarser a mesh than that of the full suite its tolerances allow.
     """
 
     runs: Sequence[Run]

@@ -133,4 +133,4 @@ def klang(quick: bool) -> Outcome:
             f"64 facets, {steps} step{'s' * (steps > 1)}, force {where}: stick to {φ[status == 2].max(initial=0.0):.1f}°, "
             f"{np.interp(0, φ, p):.2f} MPa at 0° and {np.interp(30, φ, p):.2f} MPa at 30° (Klang: 26.2°, 17.81, 16.34)."
         )
-    return Outcome(runs, remarks, coarse=48 / sizes[-1])
+    return Outcome(runs, remarks, coarse=4.0 if quick else 1.0)
