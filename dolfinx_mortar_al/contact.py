@@ -34,6 +34,7 @@ from dolfinx_mortar_al.self_target import SelfTarget
 from dolfinx_mortar_al.step_level import StepLevel
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.surface import Facets, GatheredFacets, Surface
+from dolfinx_mortar_al.target_end import TargetEnd
 from dolfinx_mortar_al.targets import DeformableTarget, RigidTarget, Target, target_of
 from dolfinx_mortar_al.unfelt import Converged, Unfelt
 from dolfinx_mortar_al.validation import constant_value, number, whole
@@ -191,6 +192,7 @@ class ContactPair(PairResults):
             corners = SharpCorners.of(self.facets, contactor, self.multiplier.own, self.comm)
         self.blocks = Blocks(self.integration, self.contactor_blocks, fixed, self.target, self.multiplier, corners)
         self.active = ActiveSet(self.blocks, self.comm)
+        self.target_end = self._make_end()
         #: whether segments stay where they are, whatever moves
         self.holds_points = False
         self.segments = self._make_segments()
@@ -256,6 +258,13 @@ class ContactPair(PairResults):
         if degree is None:
             degree = segment_degree(self.facets.shape, target.shape, self.contact.multiplier_order)
         return segments_of(self.facets, target, degree, self.thickness)
+
+    def _make_end(self) -> TargetEnd | None:
+        """What holds points to a target that rays may miss."""
+        target = self.target
+        if not isinstance(target, DeformableTarget) or target.is_contactor or not target.uses_rays:
+            return None
+        return TargetEnd(target, self.integration.size)
 
     def _check_apart(self, contactor: GatheredFacets) -> None:
         """Contactor and target share no node: the gap would vanish there whatever happens.
@@ -447,6 +456,8 @@ class ContactPair(PairResults):
             self.law = replace(self.law, μ=self.friction_coefficient)
         self._divide()
         self.active.begin(self._converged.closed[self.integration.facet])
+        if self.target_end is not None:
+            self.target_end.begin(self.kinematics.at.facing & self._converged.closed[self.integration.facet])
         if self.segments is not None:
             self.segments.begin()
 
@@ -455,10 +466,24 @@ class ContactPair(PairResults):
         with self.stopwatch("projection"):
             if not self.holds_points:
                 self.follow_segments()
-            self.kinematics.evaluate()
+            self._project()
         with self.stopwatch("contact"):
             self._read_multiplier()
             self.apply_law()
+
+    def _project(self) -> None:
+        """Projection and slip; in statics a solve holds points to the target beyond its end."""
+        self.kinematics.evaluate()
+        if self.target_end is not None:
+            self.target_end.hold(self.kinematics)
+
+    def let_go(self) -> bool:
+        """Let points beyond the target's end go, on whatever rank; whether there are any (collective)."""
+        gone = self.target_end is not None and self.target_end.let_go()
+        if not self.comm.allreduce(gone, MPI.LOR):
+            return False
+        self._project()
+        return True
 
     def _read_multiplier(self) -> None:
         """The multiplier field at the points, in frames that the kinematics hold."""
@@ -515,6 +540,8 @@ class ContactPair(PairResults):
         self.kinematics.take(points, before.nodes, before.place)
         self.blocks.take(points)
         self.active.transfer(origin)
+        if self.target_end is not None:
+            self.target_end.transfer(origin)
 
     def _remember(self) -> None:
         """Keep where the bodies' nodes are: slip is counted from there, wherever points will be; and what is in contact."""
@@ -568,7 +595,7 @@ class ContactPair(PairResults):
         """Take the kinematics of time steps, for impact; there the multiplier's space is one and the same in all steps, which
         the balance of energy needs: corners' nodes keep all of their facets."""
         if not isinstance(self.kinematics, StepLevel):
-            self.blocks.corners = None
+            self.blocks.corners = self.target_end = None
             self.kinematics = StepLevel(self.kinematics)
             self.active.cautious = False
             self.set_law(self.stiffness, FIRMER, FIRMEST)
@@ -599,7 +626,12 @@ class ContactPair(PairResults):
         if isinstance(self.kinematics, StepLevel):
             self.kinematics.excuse(*self._decided())
         self._remember()
+        self._end_solve()
         self.active.guessed = False
+
+    def _end_solve(self) -> None:
+        if self.target_end is not None:
+            self.target_end.end()
 
     def snapshot(self) -> dict[str, Array]:
         """All that a step may change, by name; see :class:`~dolfinx_mortar_al.problem.Snapshot`."""
@@ -652,6 +684,7 @@ class ContactPair(PairResults):
             else:
                 self.follow_segments()
                 λN_hat = λN_hat[self.gauss.nearest(self.integration.facet, self.integration.η)]
+        self._end_solve()
         self.kinematics.evaluate()
         self.active.expect(λN_hat, self.kinematics, self.epsilon.normal)
         self._read_multiplier()

@@ -42,6 +42,7 @@ HELD = 0.9  # share of what a tie bore, of which it bears less at the next place
 PUSHED = 0.01  # of the contact forces: what loads push with must be resisted by more than a tie
 SLIDES = 0.1  # of the contact forces: what is left of a coarse mesh's pressures along a slide is less
 MAX_MOVES = 20  # places that a sliding piece is tied to in a solve
+LETS_GO = 1e-3  # relative residual from which on Newton knows which points are beyond the target's end
 GIVES_UP_AFTER, NO_PROGRESS = 16, 0.1  # as it is when five iterations in a row have relative residuals above this
 
 
@@ -209,6 +210,8 @@ class NewtonSolver:
             pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs
         ):
             pardoned = [pair.active.pardon(pair.state, pair.kinematics) for pair in self.problem.pairs]
+            if self._lets_go(iteration):
+                return None
             if not any(pardoned) and not self._bounds_are_stale(iteration) and not self._slides(iteration):
                 return _Reason.CONVERGED_FNORM_ABS
             if self._moves > MAX_MOVES:
@@ -218,6 +221,8 @@ class NewtonSolver:
                 self.result.message = f"the friction bounds do not come to rest after {MAX_FREEZES} rounds"
                 return _Reason.DIVERGED_LOCAL_MIN
             return None
+        if self.result.residual <= LETS_GO:
+            self._lets_go(iteration)
         recent = [max(norms) * self.rtol for norms in self.result.norms[-5:]]
         tries = iteration - self._law_since
         settled = iteration - self._set_since >= SETTLED
@@ -289,6 +294,14 @@ class NewtonSolver:
                 pair.active.thaw()
             else:
                 pair.active.freeze(pair.state, pair.friction_coefficient)
+        self._patterns, self._cycles, self._law_since = [], 0, iteration
+        self.problem.reconsider(self.snes.getFunction()[0])
+        return True
+
+    def _lets_go(self, iteration: int) -> bool:
+        """Let points beyond the target's end go; whether there were any (collective)."""
+        if not any([pair.let_go() for pair in self.problem.pairs]):
+            return False
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         self.problem.reconsider(self.snes.getFunction()[0])
         return True

@@ -20,7 +20,7 @@ from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot
 from dolfinx_mortar_al.search import BULGE, across, candidates
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions, surface_normal
 
-__all__ = ["RayHit", "cast", "hits"]
+__all__ = ["RayHit", "cast", "extend", "hits"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -29,6 +29,7 @@ ALMOST = 1.5e-8  # step in η after which Newton, which squares it, leaves round
 EDGE = 1e-9  # how far beyond a facet's sides, in η, a hit still counts: no ray slips through between two facets
 FACING = 0.1  # least cosine between ray and target's normal: flatter hits have no sensible gap
 DEEP = 0.5  # penetration, in facets, beyond which a hit behind the contactor must be confirmed by the closest point
+BEYOND = 1.0  # how far beyond the sides of a facet at the target's end, in η, it may go on while a solve is on its way
 MAX_ITERATIONS = 12  # of Newton for the hit on a curved facet; five do, unless the ray all but touches the facet
 
 
@@ -92,19 +93,52 @@ def cast(
     return RayHit(point, facing, N, dN, combine(N, nodes), dN @ nodes, -normal, g, tangents)
 
 
+def extend(at: RayHit, target: GatheredFacets, positions: Array, x: Array, which: Index, near: Index) -> Index:
+    """Let points `which` (m,) of n at 𝐱 (n, gdim), which face nothing, face one of the facets `near` (m, k) as it goes on
+    beyond its sides, by BEYOND of its size at most: the one that the ray misses by least. Returns those that do."""
+    normal, nodes = -at.ν[which], positions[target.facets]
+    couples = np.repeat(np.arange(len(which)), near.shape[1]), near.ravel()
+    row, facet, η, d = hits(target.shape, nodes, x[which], normal, *couples, beyond=BEYOND)
+    N, dN = target.shape.tabulate(η, 1)
+    a = dN @ nodes[facet]
+    m = surface_normal(a) * target.orientation[facet, None]
+    opposed = np.flatnonzero(dot(m, normal[row]) < -FACING * np.linalg.norm(m, axis=1))
+    missed = -_inside_by(η[opposed], len(target.shape.corners) == 3)
+    first = opposed[_first_of_each(row[opposed], missed)]
+    held = which[row[first]]
+    at.point.facet[held], at.point.η[held], at.facing[held], at.g[held] = facet[first], η[first], True, -d[first]
+    at.N[held], at.dN[held], at.a[held] = N[first], dN[first], a[first]
+    at.y[held] = combine(N[first], nodes[facet[first]])
+    return np.asarray(held)
+
+
+def _inside_by(η: Array, triangle: bool) -> Array:
+    """(m,) how far η (m, dim) are from the nearest side of the reference facet, negative beyond it."""
+    upper = 1.0 - η.sum(axis=1) if triangle else (1.0 - η).min(axis=1)
+    return np.asarray(np.minimum(η.min(axis=1), upper))
+
+
 def hits(
-    shape: ShapeFunctions, nodes: Array, x: Array, normal: Array, row: Index, facet: Index
+    shape: ShapeFunctions,
+    nodes: Array,
+    x: Array,
+    normal: Array,
+    row: Index,
+    facet: Index,
+    beyond: float = EDGE,
 ) -> tuple[Index, Index, Array, Array]:
     """All meetings of the lines through 𝐱 (n, gdim) along `normal` with facets, from the couples (row, facet).
 
-    `nodes` (nf, k, gdim) are the facets' nodes. Returns row, facet, η (m, dim) and the signed distance d (m,) of each.
+    `nodes` (nf, k, gdim) are the facets' nodes; meetings count up to `beyond` their sides. Returns row, facet, η (m, dim)
+    and the signed distance d (m,) of each.
     """
     axes = np.swapaxes(across(normal), 1, 2).copy()
     c = (nodes[facet] - x[row, None]) @ axes[row]  # the line is the origin
     c = np.moveaxis(c, (2, 1), (0, 1)).copy()  # NumPy is slow along a short axis that is not the first
-    near = _may_meet(shape, c)
-    row, facet, c = row[near], facet[near], c[:, :, near]
-    which, η = _on_curve(shape, c[0].T) if shape.dim == 1 else _on_patch(shape, c)
+    if beyond == EDGE:
+        near = _may_meet(shape, c)
+        row, facet, c = row[near], facet[near], c[:, :, near]
+    which, η = _on_curve(shape, c[0].T, beyond) if shape.dim == 1 else _on_patch(shape, c, beyond)
     row, facet = row[which], facet[which]
     d = dot(combine(shape.tabulate(η)[0], nodes[facet]) - x[row], normal[row])
     return row, facet, η, d
@@ -126,8 +160,8 @@ def _may_meet(shape: ShapeFunctions, c: Array) -> NDArray[np.bool_]:
     return near
 
 
-def _on_curve(shape: ShapeFunctions, c: Array) -> tuple[Index, Array]:
-    """Roots of Σ_k N_k(η) c_k on [0, 1]: which row of c (m, k) each is of, and η (·, 1)."""
+def _on_curve(shape: ShapeFunctions, c: Array, beyond: float) -> tuple[Index, Array]:
+    """Roots of Σ_k N_k(η) c_k on [0, 1], or up to `beyond` it: which row of c (m, k) each is of, and η (·, 1)."""
     powers = shape.nodes ** np.arange(shape.order + 1)  # (k, k): monomials at the nodes
     coefficients = c @ np.linalg.inv(powers).T
     a0, a1 = coefficients[:, 0], coefficients[:, 1]
@@ -137,12 +171,12 @@ def _on_curve(shape: ShapeFunctions, c: Array) -> tuple[Index, Array]:
     with np.errstate(divide="ignore", invalid="ignore"):
         roots = np.stack([a0 / q, q / a2])  # the second is infinite or far where the curve is straight
     with np.errstate(invalid="ignore"):
-        good = np.isfinite(roots) & (discriminant >= 0) & (roots >= -EDGE) & (roots <= 1 + EDGE)
-    which = np.nonzero(good)[1]
-    return which, np.clip(roots[good], 0.0, 1.0)[:, None]
+        good = np.isfinite(roots) & (discriminant >= 0) & (roots >= -beyond) & (roots <= 1 + beyond)
+    which, η = np.nonzero(good)[1], roots[good][:, None]
+    return which, np.clip(η, 0.0, 1.0) if beyond == EDGE else η
 
 
-def _on_patch(shape: ShapeFunctions, c: Array) -> tuple[Index, Array]:
+def _on_patch(shape: ShapeFunctions, c: Array, beyond: float) -> tuple[Index, Array]:
     """Newton for Σ_k N_k(η) 𝐜_k = 0 from the middle of each facet, c (2, k, m); one root at most is found."""
     powers, inverse_matrix = _monomials(shape.cell, shape.order)
     c = inverse_matrix @ c
@@ -164,9 +198,7 @@ def _on_patch(shape: ShapeFunctions, c: Array) -> tuple[Index, Array]:
         converged[active] = done
         going = ~(done | far)
         active, c = active[going], c[:, :, going]
-    triangle = len(shape.corners) == 3
-    upper = 1.0 - η.sum(axis=0) if triangle else (1.0 - η).min(axis=0)
-    which = np.flatnonzero(converged & (np.minimum(η.min(axis=0), upper) >= -EDGE))
+    which = np.flatnonzero(converged & (_inside_by(η.T, len(shape.corners) == 3) >= -beyond))
     return which, η[:, which].T
 
 

@@ -19,7 +19,7 @@ from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.closest_point import ClosestPoint, project
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine
-from dolfinx_mortar_al.rays import RayHit, cast
+from dolfinx_mortar_al.rays import RayHit, cast, extend
 from dolfinx_mortar_al.search import CandidateSearch, RaySearch, candidates, ray_candidates
 from dolfinx_mortar_al.surface import Facets, Surface
 
@@ -198,6 +198,14 @@ class DeformableTarget(Target):
             near = self._closest(points.x[lost], nodes).point
             at.point.facet[lost], at.point.η[lost] = near.facet, near.η
         return at.point, at.facing
+
+    def extend(self, at: RayHit, points: ContactorPoints, which: Index) -> Index:
+        """Let points `which` (m,), which face nothing, face the facet nearest to each, or a neighbour of it, as it goes on
+        beyond the target's end; returns those that do."""
+        if not len(which):
+            return which
+        near = self.neighbours[self.closest(points.x[which]).point.facet]
+        return extend(at, self.surface, self._nodes, points.x, which, near)
 
     def closest(self, x: Array) -> ClosestPoint:
         return self._closest(x, self._nodes)
