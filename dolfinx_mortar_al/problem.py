@@ -489,12 +489,8 @@ class ContactProblem:
             A.setValuesRCV(nodes, nodes, self.ties.springs(multigrid=self.spare_pattern), _ADD)
 
     def _create_ties(self) -> Ties | None:
-        if self.springs is None:
-            return None
         held = self.bodies.prescribed_pieces()
-        for pair, touched in zip(self.pairs, self._touched, strict=True):
-            held |= touched & bool(pair.friction)
-        if held.all():
+        if self.springs is None or held.all():
             return None
         stiffness = self.springs.array_r * self._spring_shares
         return Ties(self.bodies, np.where(held[self.bodies.piece_of_dof], 0.0, stiffness))

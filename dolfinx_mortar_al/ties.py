@@ -1,7 +1,8 @@
-"""Ties of pieces that contact alone holds, without friction, and that nothing keeps from sliding (``docs/newton.md``).
+"""Ties of pieces that contact alone holds and that nothing keeps from sliding (``docs/newton.md``).
 
 A body squeezed between flat plates may lie anywhere along them, and what pressures leave along the plates, an error of the
-mesh, has nothing to resist it: as a rule there is no equilibrium. So such a piece is tied to where it was in the last one,
+mesh, has nothing to resist it: as a rule there is no equilibrium. Friction resists, but only where there is pressure already,
+and a pin that is put into its hole touches it at a point. So such a piece is tied to where it was in the last one,
 
     𝐟 = ∑ κ 𝐦 (𝐦·(𝐮 − 𝐚)),
 
@@ -34,7 +35,7 @@ WEAK_TO_MULTIGRID = 1e-3  # where multigrid inverts it
 
 
 class Ties:
-    """Ties of the pieces that contact alone holds, that touch nothing with friction and of which nothing is prescribed.
+    """Ties of the pieces that contact alone holds and of which nothing is prescribed.
 
     Args:
         bodies: all of them.

@@ -1,4 +1,4 @@
-"""Pieces that contact alone holds, without friction: what slides is tied, and the tie bears what pressures leave, no more."""
+"""Pieces that contact alone holds: what slides or rolls is tied, and the tie bears what pressures leave, no more."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from mpi4py import MPI
 
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic
 from meshes.disc import RIM, Disc
+from meshes.round_bodies import Round, RoundBodies
 
 E = 1e6  # Pa
 R = 0.1  # m
@@ -74,3 +75,55 @@ def test_a_small_load_is_borne_and_told_and_a_large_one_is_not():
     problem, head = roller(0.3, 2, load=0.25 * pressed)
     with pytest.raises(quasistatic.StepFailure, match="contact alone holds the body"):
         list(quasistatic.march(problem, head, to=(0.0, -0.2 * R), increments=2, smallest=0.5))
+
+
+def pin(order, swap, friction, clearance):
+    """A hollow pin of radius 5R − `clearance` that touches its hole of radius 5R at the lowest point, in a round block
+    that is held at its rim: the problem, a dead traction (Pa) downwards in the lower half of its bore, and its area."""
+    rounds = (Round((0.0, 0.0), 10 * R, 5 * R, R), Round((0.0, -clearance), 5 * R - clearance, 2 * R, 0.4 * R))
+    bodies = RoundBodies(rounds, order=order)
+    domain, _, facets = bodies.create()
+    u, q = fem.Function(fem.functionspace(domain, ("Lagrange", order, (2,)))), fem.Constant(domain, 0.0)
+    outside = fem.locate_dofs_topological(u.function_space, 1, facets.find(bodies.rim(0)))
+    below = ufl.conditional(ufl.lt(ufl.SpatialCoordinate(domain)[1], -clearance), 1.0, 0.0)
+    ds = ufl.Measure("ds", domain, subdomain_data=facets)(bodies.bore(1))
+    area = domain.comm.allreduce(fem.assemble_scalar(fem.form(below * ds)), MPI.SUM)
+    push = (ufl.as_vector([0 * q, -q * below]), ds)
+    bcs = [fem.dirichletbc(np.zeros(2), outside, u.function_space)]
+    sides = [Surface(domain, facets, bodies.rim(1)), Surface(domain, facets, bodies.bore(0))]
+    contact = Contact(*(sides[::-1] if swap else sides), friction=friction)
+    return ContactProblem(Body(u, materials.neo_hookean(E, 0.3), bcs=bcs, external=push), contacts=[contact]), q, area
+
+
+@pytest.mark.parametrize("order, swap, friction, clearance", [
+    (1, False, 0.1, 0.02), (1, True, 0.4, 0.1), (2, True, 0.4, 0.1), (2, False, 1.0, 0.02),
+])  # fmt: skip
+def test_a_pin_is_pressed_into_its_hole_with_friction(order, swap, friction, clearance):
+    """It touches at a point at first, where friction has no pressure to hold it with. No trial is rejected, the hole bears
+    what the pin is pushed with, and nothing sideways."""
+    problem, q, area = pin(order, swap, friction, clearance * R)
+    steps = list(quasistatic.march(problem, q, to=0.2 * E, increments=4))
+    assert [step.rejected for step in steps] == [0] * 4
+    assert sum(step.iterations for step in steps) <= 25
+    force = problem.pairs[0].force() * (-1 if swap else 1)
+    assert force[1] == pytest.approx(0.2 * E * area, rel=0.05)  # the half's end cuts a cell, integrated by other points
+    assert abs(force[0]) < 1e-6 * force[1]
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.02])
+def test_a_wheel_stays_where_it_stands(friction):
+    """On a flat slab under its weight a wheel may roll anywhere: it stays, to .02 of its radius, with no trial rejected.
+    Without ties it rolled by .2 and .7 of its radius, or the march failed."""
+    wheel = RoundBodies((Round((0.0, R), R, 0.3 * R, 0.15 * R),), order=1)
+    domain, _, facets = wheel.create()
+    u, weight = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,)))), fem.Constant(domain, 0.0)
+    down = (ufl.as_vector([0 * weight, -weight]), ufl.dx(domain))
+    (slab, (below, tags), _) = plate(-R, 0.0, E / 3, cells=17)
+    contact = Contact(Surface(domain, facets, wheel.rim(0)), Surface(below, tags, INNER), friction=friction)
+    problem = ContactProblem([Body(u, materials.neo_hookean(E, 0.3), external=down), slab], contacts=[contact])
+    steps = list(quasistatic.march(problem, weight, to=0.01 * E / R, increments=3))
+    assert [step.rejected for step in steps] == [0] * 3
+    owned = u.function_space.dofmap.index_map.size_local
+    total = problem.comm.allreduce(np.r_[u.x.array[: 2 * owned : 2].sum(), owned], MPI.SUM)
+    assert abs(total[0] / total[1]) < 0.02 * R
+    assert problem.pairs[0].force()[1] == pytest.approx(0.01 * E / R * np.pi * R**2 * (1 - 0.3**2), rel=0.05)
