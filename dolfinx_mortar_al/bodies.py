@@ -318,12 +318,10 @@ class Bodies:
             np.minimum(share, softest / np.maximum(largest, 1e-300), out=share, where=pieces)
         return share[self.piece_of_dof]
 
-    def prescribed_pieces(self) -> NDArray[np.bool_]:
-        """(pieces,) of which some component is prescribed (collective)."""
-        some = np.zeros(self.pieces)
-        for body, first in zip(self.bodies, self.first_piece, strict=True):
-            np.maximum.at(some, np.repeat(body.piece + first, self.gdim), body.prescribed().x.array)
-        return np.asarray(self._largest(some) > 0)
+    def prescribed(self) -> NDArray[np.bool_]:
+        """(owned dofs,) components that are prescribed (collective)."""
+        parts = zip(self.bodies, self._slices, strict=True)
+        return np.concatenate([body.prescribed().x.array[: part.stop - part.start] > 0 for body, part in parts])
 
     def norms(self, values: Array) -> Array:
         """(pieces,) norm of nodal values (owned dofs,) on each piece (collective)."""

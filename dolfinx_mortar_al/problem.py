@@ -489,11 +489,7 @@ class ContactProblem:
             A.setValuesRCV(nodes, nodes, self.ties.springs(multigrid=self.spare_pattern), _ADD)
 
     def _create_ties(self) -> Ties | None:
-        held = self.bodies.prescribed_pieces()
-        if self.springs is None or held.all():
-            return None
-        stiffness = self.springs.array_r * self._spring_shares
-        return Ties(self.bodies, np.where(held[self.bodies.piece_of_dof], 0.0, stiffness))
+        return None if self.springs is None else Ties(self.bodies, self.springs.array_r * self._spring_shares)
 
     def ties_bear(self) -> tuple[Array, Array]:
         """(pieces,) what ties bear, and what loads push with along the same motions, as shares of the contact forces on

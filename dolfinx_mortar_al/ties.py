@@ -29,13 +29,16 @@ Index = NDArray[np.int64]
 
 STIFFNESS = 0.1  # of a tie, as a share of what a piece resists a deformation of its own size with
 NEUTRAL = 0.1  # share of a tie below which what resists a motion leaves it free
+HELD = (
+    1e-6  # norm over prescribed components below which a rigid motion, one in the mean over the nodes, leaves them be
+)
 SAME = 0.1  # difference of two projections onto motions that count as the same
 WEAK = 1e-6  # share of a tie that springs at the nodes have, which make the sparse Jacobian regular,
 WEAK_TO_MULTIGRID = 1e-3  # where multigrid inverts it
 
 
 class Ties:
-    """Ties of the pieces that contact alone holds and of which nothing is prescribed.
+    """Ties of the pieces that contact alone holds, along the rigid motions that conditions let be.
 
     Args:
         bodies: all of them.
@@ -51,7 +54,7 @@ class Ties:
 
     def __init__(self, bodies: Bodies, diagonal: Array) -> None:
         self._bodies, d = bodies, bodies.gdim
-        self._piece = bodies.piece_of_dof[::d]
+        self._piece, self._prescribed = bodies.piece_of_dof[::d], bodies.prescribed().reshape(-1, d)
         each = np.stack([np.ones(len(self._piece)), diagonal.reshape(-1, d).mean(axis=1)])
         count, total = bodies.comm.allreduce(self._by_piece(each.T), MPI.SUM).T
         self._nodes = np.maximum(count, 1.0)
@@ -82,26 +85,35 @@ class Ties:
 
     def engage(self, *, everything: bool = False) -> bool:
         """Tie motions that next to nothing resists, or all; whether they are others than before (collective)."""
-        share, axes = np.linalg.eigh((self.resistance + np.swapaxes(self.resistance, 1, 2)) / 2)
-        soft = share < NEUTRAL * self._k[:, None]
-        free = soft & np.any(self.resistance, axis=(1, 2), keepdims=True)[:, :, 0] | everything
-        before, self._free = self._free, (axes * free[:, None]) @ np.swapaxes(axes, 1, 2)
-        R, rows = self._rigid_motions(), [np.zeros((0, self.anchor.size))]
-        for p in self._pieces:
-            mine = (self._piece == p)[:, None, None] * R @ axes[p][:, free[p]] / np.sqrt(self._nodes[p])
+        R, rows, pieces = self._rigid_motions(), [np.zeros((0, self.anchor.size))], [np.zeros(0, dtype=np.int64)]
+        before, self._free = self._free, np.zeros_like(self._free)
+        for p, A in zip(self._pieces, self._admissible(R), strict=True):
+            share, axes = np.linalg.eigh(A.T @ (self.resistance[p] + self.resistance[p].T) @ A / 2)
+            soft = share < NEUTRAL * self._k[p] if self.resistance[p].any() else np.zeros(len(share), dtype=bool)
+            free = A @ axes[:, soft | everything]
+            self._free[p] = free @ free.T
+            mine = (self._piece == p)[:, None, None] * R @ free / np.sqrt(self._nodes[p])
             rows.append(mine.reshape(self.anchor.size, -1).T)
-        self.motions = np.concatenate(rows)
-        self.piece = np.repeat(self._pieces, [free[p].sum() for p in self._pieces])
+            pieces.append(np.full(free.shape[1], p))
+        self.motions, self.piece = np.concatenate(rows), np.concatenate(pieces)
         self.stiffness = self._k[self.piece]
         return bool(np.abs(self._free - before).max() > SAME)
+
+    def _admissible(self, R: Array) -> list[Array]:
+        """(motions, ·) of each piece in use an orthonormal basis of those rigid motions R that its conditions let be
+        (collective)."""
+        fixed = R * self._prescribed[:, :, None]
+        gram = self._bodies.comm.allreduce(self._by_piece(np.swapaxes(fixed, 1, 2) @ fixed), MPI.SUM)
+        square, axes = np.linalg.eigh(gram[self._pieces])
+        return [v[:, s < HELD**2] for s, v in zip(square, axes, strict=True)]
 
     def measure(self, response: Callable[[Array], Array]) -> None:
         """What resists rigid motions: from the displacements that nodal forces (owned dofs,) lead to (collective)."""
         R = self._rigid_motions()
-        for p in self._pieces:
-            m = ((self._piece == p)[:, None, None] * R / np.sqrt(self._nodes[p])).reshape(self.anchor.size, -1)
-            flexibility = m.T @ np.stack([response(column) for column in m.T], axis=1)
-            self.resistance[p] = np.linalg.pinv(self._bodies.comm.allreduce(flexibility, MPI.SUM))
+        for p, A in zip(self._pieces, self._admissible(R), strict=True):
+            m = ((self._piece == p)[:, None, None] * R @ A / np.sqrt(self._nodes[p])).reshape(self.anchor.size, -1)
+            flexibility = m.T @ np.array([response(column) for column in m.T]).reshape(A.shape[1], -1).T
+            self.resistance[p] = A @ np.linalg.pinv(self._bodies.comm.allreduce(flexibility, MPI.SUM)) @ A.T
 
     def _rigid_motions(self) -> Array:
         """(owned nodes, gdim, motions) of the piece that each node is of, at the present positions, orthonormal in the mean

@@ -7,6 +7,8 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic
+from dolfinx_mortar_al.verify.meshes import build, grid
+from dolfinx_mortar_al.verify.model import hold
 from meshes.disc import RIM, Disc
 from meshes.round_bodies import Round, RoundBodies
 
@@ -127,3 +129,43 @@ def test_a_wheel_stays_where_it_stands(friction):
     total = problem.comm.allreduce(np.r_[u.x.array[: 2 * owned : 2].sum(), owned], MPI.SUM)
     assert abs(total[0] / total[1]) < 0.02 * R
     assert problem.pairs[0].force()[1] == pytest.approx(0.01 * E / R * np.pi * R**2 * (1 - 0.3**2), rel=0.05)
+
+
+def half_ring(radii, cells, y, inside, outside, dim):
+    """A half ring, x ≥ 0, around (0, y), and in space a slice of it: its planes x = 0 and z = 0 have tags 10 and 11."""
+
+    def place(x):
+        return np.column_stack([x[:, 1] * np.sin(x[:, 0]), y - x[:, 1] * np.cos(x[:, 0]), *x[:, 2:].T])
+
+    axes = [np.linspace(0, np.pi, cells + 1), np.linspace(*radii, 3), np.linspace(0, 0.5, 3)][:dim]
+    faces = {(0, 0): 10, (0, -1): 10, (1, 0): inside, (1, -1): outside, (2, 0): 11, (2, -1): 12}
+    return grid(axes, {face: tag for face, tag in faces.items() if face[0] < dim}, place=place)
+
+
+@pytest.mark.parametrize(
+    "dim, swap, friction, clearance", [(2, True, 0.0, 0.002), (2, True, 0.3, 0.01), (3, True, 0.3, 0.01)]
+)
+def test_half_a_pin_falls_into_its_hole(dim, swap, friction, clearance):
+    """Planes of symmetry leave it one motion, downwards, and contact is a point at first. No trial is rejected, and the hole
+    bears what the pin is pushed with."""
+    pin = half_ring((0.2, 0.5 - clearance), 12 if dim == 2 else 8, -clearance, 4, 1, dim)
+    block = half_ring((0.5, 1.0), 16 if dim == 2 else 10, 0.0, 2, 5, dim)
+    domain, _, facets = build([pin, block])
+    V, q = fem.functionspace(domain, ("Lagrange", 2, (dim,))), fem.Constant(domain, 0.0)
+    u, ds = fem.Function(V), ufl.Measure("ds", domain, subdomain_data=facets)(4)
+    below = ufl.conditional(ufl.lt(ufl.SpatialCoordinate(domain)[1], -clearance), 1.0, 0.0)
+    area = domain.comm.allreduce(fem.assemble_scalar(fem.form(below * ds)), MPI.SUM)
+    push = (ufl.as_vector([0 * q, -q * below, 0 * q][:dim]), ds)
+    bcs = [
+        hold(V, facets, 10, 0),
+        *(hold(V, facets, 5, k) for k in range(dim)),
+        *([hold(V, facets, 11, 2)] * (dim - 2)),
+    ]
+    sides = [Surface(domain, facets, tag) for tag in ((2, 1) if swap else (1, 2))]
+    body = Body(u, materials.neo_hookean(E, 0.3), bcs=bcs, external=push)
+    problem = ContactProblem(body, contacts=[Contact(*sides, friction=friction)])
+    steps = list(quasistatic.march(problem, q, to=0.3 * E, increments=4))
+    assert [step.rejected for step in steps] == [0] * 4
+    assert sum(step.iterations for step in steps) <= 25
+    force = problem.pairs[0].force() * (-1 if swap else 1)
+    assert force[1] == pytest.approx(0.3 * E * area, rel=0.05)  # the half's end cuts a cell, integrated by other points
