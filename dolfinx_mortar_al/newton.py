@@ -210,10 +210,8 @@ class NewtonSolver:
             pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs
         ):
             pardoned = [pair.active.pardon(pair.state, pair.kinematics) for pair in self.problem.pairs]
-            if self._lets_go(iteration):
-                return None
             if not any(pardoned) and not self._bounds_are_stale(iteration) and not self._slides(iteration):
-                return _Reason.CONVERGED_FNORM_ABS
+                return None if self._lets_go(iteration) else _Reason.CONVERGED_FNORM_ABS
             if self._moves > MAX_MOVES:
                 self.result.message = f"nothing resists a slide, {MAX_MOVES} places on"
                 return _Reason.DIVERGED_LOCAL_MIN
@@ -221,7 +219,8 @@ class NewtonSolver:
                 self.result.message = f"the friction bounds do not come to rest after {MAX_FREEZES} rounds"
                 return _Reason.DIVERGED_LOCAL_MIN
             return None
-        if self.result.residual <= LETS_GO:
+        ties = self.problem.ties
+        if self.result.residual <= LETS_GO and not (ties is not None and ties.acts):  # tied, it is another equilibrium
             self._lets_go(iteration)
         recent = [max(norms) * self.rtol for norms in self.result.norms[-5:]]
         tries = iteration - self._law_since
