@@ -318,6 +318,11 @@ class Bodies:
             np.minimum(share, softest / np.maximum(largest, 1e-300), out=share, where=pieces)
         return share[self.piece_of_dof]
 
+    def prescribed_pieces(self) -> NDArray[np.bool_]:
+        """(pieces,) of which some component is prescribed (collective)."""
+        some = np.bincount(self.piece_of_dof, weights=self.prescribed(), minlength=self.pieces)
+        return np.asarray(self.comm.allreduce(some, MPI.SUM) > 0)
+
     def prescribed(self) -> NDArray[np.bool_]:
         """(owned dofs,) components that are prescribed (collective)."""
         parts = zip(self.bodies, self._slices, strict=True)

@@ -489,7 +489,12 @@ class ContactProblem:
             A.setValuesRCV(nodes, nodes, self.ties.springs(multigrid=self.spare_pattern), _ADD)
 
     def _create_ties(self) -> Ties | None:
-        return None if self.springs is None else Ties(self.bodies, self.springs.array_r * self._spring_shares)
+        if self.springs is None:
+            return None
+        resisted = self.bodies.prescribed_pieces()
+        for pair, touched in zip(self.pairs, self._touched, strict=True):
+            resisted |= touched & bool(pair.friction)
+        return Ties(self.bodies, self.springs.array_r * self._spring_shares, resisted)
 
     def ties_bear(self) -> tuple[Array, Array]:
         """(pieces,) what ties bear, and what loads push with along the same motions, as shares of the contact forces on

@@ -1,14 +1,16 @@
 """Ties of pieces that contact alone holds and that nothing keeps from sliding (``docs/newton.md``).
 
 A body squeezed between flat plates may lie anywhere along them, and what pressures leave along the plates, an error of the
-mesh, has nothing to resist it: as a rule there is no equilibrium. Friction resists, but only where there is pressure already,
-and a pin that is put into its hole touches it at a point. So such a piece is tied to where it was in the last one,
+mesh, has nothing to resist it: as a rule there is no equilibrium. So such a piece is tied to where it was in the last one,
 
     𝐟 = ∑ κ 𝐦 (𝐦·(𝐮 − 𝐚)),
 
 with the rigid motions 𝐦 that next to nothing resists, orthonormal over the nodes, so that a tie bears a slide and nothing
 else. When Newton has converged the piece is tied to where it is then, and the solve goes on: where something does resist the
 slide the tie bears less each time; where nothing does it bears the same again.
+
+What friction or a plane of symmetry holds needs no tie but at the start, where a pin, say, touches its hole at a point and
+nothing is pressed yet: if a first solve fails it is tied until Newton has converged.
 """
 
 from __future__ import annotations
@@ -43,16 +45,19 @@ class Ties:
     Args:
         bodies: all of them.
         diagonal: (owned dofs,) of the bodies' stiffness (N/m), 0 where nothing is to be tied.
+        resisted: (pieces,) of which some component is prescribed, or which touch something with friction. Those are tied only
+            if a first solve insists, until Newton has converged.
 
     Attributes:
         anchor: (owned dofs,) displacement where the ties bear nothing (m).
         resistance: (pieces, motions, motions) to the rigid motions of each piece in the last equilibrium (N/m), 0 where that
             is not known.
+        insists: whether the next solve ties what is `resisted`, too.
         borne: (pieces,) what ties bear in the last equilibrium, as a share of the contact forces.
         motions, stiffness, piece: (ties, owned dofs), (ties,) in N/m and (ties,) of the ties in use.
     """
 
-    def __init__(self, bodies: Bodies, diagonal: Array) -> None:
+    def __init__(self, bodies: Bodies, diagonal: Array, resisted: NDArray[np.bool_]) -> None:
         self._bodies, d = bodies, bodies.gdim
         self._piece, self._prescribed = bodies.piece_of_dof[::d], bodies.prescribed().reshape(-1, d)
         each = np.stack([np.ones(len(self._piece)), diagonal.reshape(-1, d).mean(axis=1)])
@@ -60,7 +65,9 @@ class Ties:
         self._nodes = np.maximum(count, 1.0)
         # n springs of k at n nodes: k n^(2/d) is what a body resists a deformation of its size with, k its nodes' stiffness
         self._k = STIFFNESS * total / self._nodes ** (1.0 + 2.0 / d)
-        self._pieces: Index = np.flatnonzero(self._k)
+        self._all: Index = np.flatnonzero(self._k)
+        self._pieces: Index = np.flatnonzero((self._k > 0) & ~resisted)
+        self.insists = False
         m = 3 * (d - 1)
         self.anchor: Array = bodies.get()
         self.resistance: Array = np.zeros((bodies.pieces, m, m))
@@ -75,6 +82,11 @@ class Ties:
         """Whether anything is tied."""
         return len(self.stiffness) > 0
 
+    @property
+    def may_insist(self) -> bool:
+        """Whether there are more pieces to tie."""
+        return not self.insists and len(self._pieces) < len(self._all)
+
     def _by_piece(self, values: Array) -> Array:
         """(pieces, ...) sums of nodal values (owned nodes, ...) of this rank."""
         total = np.zeros((self._bodies.pieces, *values.shape[1:]))
@@ -85,32 +97,33 @@ class Ties:
 
     def engage(self, *, everything: bool = False) -> bool:
         """Tie motions that next to nothing resists, or all; whether they are others than before (collective)."""
-        R, rows, pieces = self._rigid_motions(), [np.zeros((0, self.anchor.size))], [np.zeros(0, dtype=np.int64)]
+        R, rows, piece = self._rigid_motions(), [np.zeros((0, self.anchor.size))], [np.zeros(0, dtype=np.int64)]
         before, self._free = self._free, np.zeros_like(self._free)
-        for p, A in zip(self._pieces, self._admissible(R), strict=True):
+        pieces = self._all if everything and self.insists else self._pieces
+        for p, A in zip(pieces, self._admissible(R, pieces), strict=True):
             share, axes = np.linalg.eigh(A.T @ (self.resistance[p] + self.resistance[p].T) @ A / 2)
             soft = share < NEUTRAL * self._k[p] if self.resistance[p].any() else np.zeros(len(share), dtype=bool)
             free = A @ axes[:, soft | everything]
             self._free[p] = free @ free.T
             mine = (self._piece == p)[:, None, None] * R @ free / np.sqrt(self._nodes[p])
             rows.append(mine.reshape(self.anchor.size, -1).T)
-            pieces.append(np.full(free.shape[1], p))
-        self.motions, self.piece = np.concatenate(rows), np.concatenate(pieces)
+            piece.append(np.full(free.shape[1], p))
+        self.motions, self.piece = np.concatenate(rows), np.concatenate(piece)
         self.stiffness = self._k[self.piece]
         return bool(np.abs(self._free - before).max() > SAME)
 
-    def _admissible(self, R: Array) -> list[Array]:
-        """(motions, ·) of each piece in use an orthonormal basis of those rigid motions R that its conditions let be
+    def _admissible(self, R: Array, pieces: Index) -> list[Array]:
+        """(motions, ·) of each of the pieces an orthonormal basis of those rigid motions R that its conditions let be
         (collective)."""
         fixed = R * self._prescribed[:, :, None]
         gram = self._bodies.comm.allreduce(self._by_piece(np.swapaxes(fixed, 1, 2) @ fixed), MPI.SUM)
-        square, axes = np.linalg.eigh(gram[self._pieces])
+        square, axes = np.linalg.eigh(gram[pieces])
         return [v[:, s < HELD**2] for s, v in zip(square, axes, strict=True)]
 
     def measure(self, response: Callable[[Array], Array]) -> None:
         """What resists rigid motions: from the displacements that nodal forces (owned dofs,) lead to (collective)."""
         R = self._rigid_motions()
-        for p, A in zip(self._pieces, self._admissible(R), strict=True):
+        for p, A in zip(self._pieces, self._admissible(R, self._pieces), strict=True):
             m = ((self._piece == p)[:, None, None] * R @ A / np.sqrt(self._nodes[p])).reshape(self.anchor.size, -1)
             flexibility = m.T @ np.array([response(column) for column in m.T]).reshape(A.shape[1], -1).T
             self.resistance[p] = A @ np.linalg.pinv(self._bodies.comm.allreduce(flexibility, MPI.SUM)) @ A.T
