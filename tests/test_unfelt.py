@@ -87,12 +87,13 @@ def drive(problem, load, increments=1, **options):
 
 
 def test_a_beam_driven_into_another_in_two_increments():
-    """The tip of one end lies 0.8 facets deep in the other beam, where its points face nothing: such an increment fails.
-    (With smaller ones the march ends at a limit point.)"""
+    """The tip of one end would lie 0.8 facets deep in the other beam, where its points face nothing: such an increment fails,
+    as Newton, whose points are held to the target's end, does not converge. (With smaller ones the march ends at a limit
+    point.)"""
     scene = draw(9401, 28)
     run = march(scene, smallest=1.0) if MPI.COMM_WORLD.rank == 0 else None
     message = MPI.COMM_WORLD.bcast(run and run["error"])
-    assert "StepFailure" in message and "overlap by more than integration points are apart" in message
+    assert "StepFailure" in message
 
 
 @pytest.mark.parametrize("order", [1, 2])
