@@ -318,7 +318,7 @@ class ContactProblem:
         """Bring the bulk's forces up to date with the displacements, those of ties among them (collective)."""
         with self.stopwatch("bulk"):
             self.force_scale = self.bodies.residual(self.bulk_forces)
-            if self.ties is not None:
+            if self.ties is not None and self.ties.acts:
                 self.bulk_forces.array[:] += self.ties.forces()
 
     def add_contact(self, f: PETSc.Vec) -> None:

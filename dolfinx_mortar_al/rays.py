@@ -64,10 +64,7 @@ def cast(
         depth: (n,) penetration (m) beyond which a hit behind the contactor does not count, in place of the closest points.
     """
     row, facet, η, d = hits(target.shape, positions[target.facets], x, normal, *couples)
-    a = target.shape.tabulate(η, 1)[1] @ positions[target.facets[facet]]
-    m = surface_normal(a) * target.orientation[facet, None]
-    cos = dot(m, normal[row]) / np.linalg.norm(m, axis=1)
-    opposed = cos < -FACING
+    opposed = _is_opposed(target, positions, facet, η, normal[row])
     if depth is not None:
         opposed &= d >= -depth[row]
     row, facet, η, d = row[opposed], facet[opposed], η[opposed], d[opposed]
@@ -99,17 +96,21 @@ def extend(at: RayHit, target: GatheredFacets, positions: Array, x: Array, which
     normal, nodes = -at.ν[which], positions[target.facets]
     couples = np.repeat(np.arange(len(which)), near.shape[1]), near.ravel()
     row, facet, η, d = hits(target.shape, nodes, x[which], normal, *couples, beyond=BEYOND)
-    N, dN = target.shape.tabulate(η, 1)
-    a = dN @ nodes[facet]
-    m = surface_normal(a) * target.orientation[facet, None]
-    opposed = np.flatnonzero(dot(m, normal[row]) < -FACING * np.linalg.norm(m, axis=1))
+    opposed = np.flatnonzero(_is_opposed(target, positions, facet, η, normal[row]))
     missed = -_inside_by(η[opposed], len(target.shape.corners) == 3)
     first = opposed[_first_of_each(row[opposed], missed)]
-    held = which[row[first]]
-    at.point.facet[held], at.point.η[held], at.facing[held], at.g[held] = facet[first], η[first], True, -d[first]
-    at.N[held], at.dN[held], at.a[held] = N[first], dN[first], a[first]
-    at.y[held] = combine(N[first], nodes[facet[first]])
+    held, facet, η = which[row[first]], facet[first], η[first]
+    at.point.facet[held], at.point.η[held], at.facing[held], at.g[held] = facet, η, True, -d[first]
+    N, dN = target.shape.tabulate(η, 1)
+    at.N[held], at.dN[held], at.a[held], at.y[held] = N, dN, dN @ nodes[facet], combine(N, nodes[facet])
     return np.asarray(held)
+
+
+def _is_opposed(target: GatheredFacets, positions: Array, facet: Index, η: Array, normal: Array) -> NDArray[np.bool_]:
+    """(m,) whether the target's normal at η (m, dim) of facets (m,) opposes rays along `normal` (m, gdim)."""
+    a = target.shape.tabulate(η, 1)[1] @ positions[target.facets[facet]]
+    m = surface_normal(a) * target.orientation[facet, None]
+    return np.asarray(dot(m, normal) < -FACING * np.linalg.norm(m, axis=1))
 
 
 def _inside_by(η: Array, triangle: bool) -> Array:
@@ -135,7 +136,7 @@ def hits(
     axes = np.swapaxes(across(normal), 1, 2).copy()
     c = (nodes[facet] - x[row, None]) @ axes[row]  # the line is the origin
     c = np.moveaxis(c, (2, 1), (0, 1)).copy()  # NumPy is slow along a short axis that is not the first
-    if beyond == EDGE:
+    if beyond <= EDGE:  # otherwise facets leave their nodes' box
         near = _may_meet(shape, c)
         row, facet, c = row[near], facet[near], c[:, :, near]
     which, η = _on_curve(shape, c[0].T, beyond) if shape.dim == 1 else _on_patch(shape, c, beyond)
@@ -172,8 +173,8 @@ def _on_curve(shape: ShapeFunctions, c: Array, beyond: float) -> tuple[Index, Ar
         roots = np.stack([a0 / q, q / a2])  # the second is infinite or far where the curve is straight
     with np.errstate(invalid="ignore"):
         good = np.isfinite(roots) & (discriminant >= 0) & (roots >= -beyond) & (roots <= 1 + beyond)
-    which, η = np.nonzero(good)[1], roots[good][:, None]
-    return which, np.clip(η, 0.0, 1.0) if beyond == EDGE else η
+    η = np.clip(roots[good], EDGE - beyond, 1.0 + beyond - EDGE)
+    return np.nonzero(good)[1], η[:, None]
 
 
 def _on_patch(shape: ShapeFunctions, c: Array, beyond: float) -> tuple[Index, Array]:

@@ -202,8 +202,6 @@ class DeformableTarget(Target):
     def extend(self, at: RayHit, points: ContactorPoints, which: Index) -> Index:
         """Let points `which` (m,), which face nothing, face the facet nearest to each, or a neighbour of it, as it goes on
         beyond the target's end; returns those that do."""
-        if not len(which):
-            return which
         near = self.neighbours[self.closest(points.x[which]).point.facet]
         return extend(at, self.surface, self._nodes, points.x, which, near)
 

@@ -31,9 +31,7 @@ Index = NDArray[np.int64]
 
 STIFFNESS = 0.1  # of a tie, as a share of what a piece resists a deformation of its own size with
 NEUTRAL = 0.1  # share of a tie below which what resists a motion leaves it free
-HELD = (
-    1e-6  # norm over prescribed components below which a rigid motion, one in the mean over the nodes, leaves them be
-)
+HELD = 1e-6  # norm over prescribed components of a rigid motion, one in the mean over the nodes, that is let be
 SAME = 0.1  # difference of two projections onto motions that count as the same
 WEAK = 1e-6  # share of a tie that springs at the nodes have, which make the sparse Jacobian regular,
 WEAK_TO_MULTIGRID = 1e-3  # where multigrid inverts it
@@ -52,7 +50,7 @@ class Ties:
         anchor: (owned dofs,) displacement where the ties bear nothing (m).
         resistance: (pieces, motions, motions) to the rigid motions of each piece in the last equilibrium (N/m), 0 where that
             is not known.
-        insists: whether the next solve ties what is `resisted`, too.
+        insists: whether a first solve ties what is `resisted`, too.
         borne: (pieces,) what ties bear in the last equilibrium, as a share of the contact forces.
         motions, stiffness, piece: (ties, owned dofs), (ties,) in N/m and (ties,) of the ties in use.
     """
@@ -83,9 +81,9 @@ class Ties:
         return len(self.stiffness) > 0
 
     @property
-    def may_insist(self) -> bool:
-        """Whether there are more pieces to tie."""
-        return not self.insists and len(self._pieces) < len(self._all)
+    def leaves_out(self) -> bool:
+        """Whether some pieces are tied only if a solve insists."""
+        return len(self._pieces) < len(self._all)
 
     def _by_piece(self, values: Array) -> Array:
         """(pieces, ...) sums of nodal values (owned nodes, ...) of this rank."""
@@ -97,24 +95,31 @@ class Ties:
 
     def engage(self, *, everything: bool = False) -> bool:
         """Tie motions that next to nothing resists, or all; whether they are others than before (collective)."""
-        R, rows, piece = self._rigid_motions(), [np.zeros((0, self.anchor.size))], [np.zeros(0, dtype=np.int64)]
         before, self._free = self._free, np.zeros_like(self._free)
         pieces = self._all if everything and self.insists else self._pieces
-        for p, A in zip(pieces, self._admissible(R, pieces), strict=True):
-            share, axes = np.linalg.eigh(A.T @ (self.resistance[p] + self.resistance[p].T) @ A / 2)
-            soft = share < NEUTRAL * self._k[p] if self.resistance[p].any() else np.zeros(len(share), dtype=bool)
-            free = A @ axes[:, soft | everything]
+        rows, piece = [np.zeros((0, self.anchor.size))], [np.zeros(0, dtype=np.int64)]
+        R = self._rigid_motions() if len(pieces) else np.zeros(0)
+        for p, free in zip(pieces, self._admissible(R, pieces) if everything else self._soft(pieces), strict=True):
             self._free[p] = free @ free.T
             mine = (self._piece == p)[:, None, None] * R @ free / np.sqrt(self._nodes[p])
             rows.append(mine.reshape(self.anchor.size, -1).T)
             piece.append(np.full(free.shape[1], p))
         self.motions, self.piece = np.concatenate(rows), np.concatenate(piece)
         self.stiffness = self._k[self.piece]
-        return bool(np.abs(self._free - before).max() > SAME)
+        return bool(np.abs(self._free - before).max(initial=0.0) > SAME)
+
+    def _soft(self, pieces: Index) -> list[Array]:
+        """(motions, ·) of each of the pieces an orthonormal basis of the rigid motions that next to nothing resists."""
+        resistance = self.resistance[pieces]
+        share, axes = np.linalg.eigh((resistance + np.swapaxes(resistance, 1, 2)) / 2)
+        soft = (share < NEUTRAL * self._k[pieces, None]) & np.any(resistance, axis=(1, 2), keepdims=True)[:, :, 0]
+        return [v[:, free] for v, free in zip(axes, soft, strict=True)]
 
     def _admissible(self, R: Array, pieces: Index) -> list[Array]:
         """(motions, ·) of each of the pieces an orthonormal basis of those rigid motions R that its conditions let be
         (collective)."""
+        if not len(pieces):
+            return []
         fixed = R * self._prescribed[:, :, None]
         gram = self._bodies.comm.allreduce(self._by_piece(np.swapaxes(fixed, 1, 2) @ fixed), MPI.SUM)
         square, axes = np.linalg.eigh(gram[pieces])
@@ -122,11 +127,13 @@ class Ties:
 
     def measure(self, response: Callable[[Array], Array]) -> None:
         """What resists rigid motions: from the displacements that nodal forces (owned dofs,) lead to (collective)."""
+        if not len(self._pieces):
+            return
         R = self._rigid_motions()
-        for p, A in zip(self._pieces, self._admissible(R, self._pieces), strict=True):
-            m = ((self._piece == p)[:, None, None] * R @ A / np.sqrt(self._nodes[p])).reshape(self.anchor.size, -1)
-            flexibility = m.T @ np.array([response(column) for column in m.T]).reshape(A.shape[1], -1).T
-            self.resistance[p] = A @ np.linalg.pinv(self._bodies.comm.allreduce(flexibility, MPI.SUM)) @ A.T
+        for p in self._pieces:
+            m = ((self._piece == p)[:, None, None] * R / np.sqrt(self._nodes[p])).reshape(self.anchor.size, -1)
+            flexibility = m.T @ np.stack([response(column) for column in m.T], axis=1)
+            self.resistance[p] = np.linalg.pinv(self._bodies.comm.allreduce(flexibility, MPI.SUM))
 
     def _rigid_motions(self) -> Array:
         """(owned nodes, gdim, motions) of the piece that each node is of, at the present positions, orthonormal in the mean
