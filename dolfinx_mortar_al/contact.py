@@ -386,7 +386,7 @@ class ContactPair(PairResults):
         k.evaluate()
         k.commit()
         self._divide()
-        self.active.closed = k.may_close & (k.at.g >= -k.touch)
+        self.active.closed = self.touches()
         self.active.begin(self._converged.closed[self.integration.facet])
         self.evaluate()
         self._remember()
@@ -458,6 +458,10 @@ class ContactPair(PairResults):
         self.active.begin(self._converged.closed[self.integration.facet])
         if self.target_end is not None:
             self.target_end.begin(self.kinematics.at.facing & self._converged.closed[self.integration.facet])
+        self.begin_again()
+
+    def begin_again(self) -> None:
+        """A solve goes on elsewhere: segments follow closely, as at its start."""
         if self.segments is not None:
             self.segments.begin()
 
@@ -588,6 +592,17 @@ class ContactPair(PairResults):
         moved = self.target.positions(k.at.point, k.at.N) - k.at.y
         size = np.linalg.norm(k.positions() - k.x - moved, axis=1)[self.state.status != OPEN]
         return self.comm.allreduce(float(size.max(initial=0.0)), MPI.MAX) / self.target.size
+
+    def apart(self) -> Array:
+        """(n, gdim) 𝐱 − 𝐲 at the present displacements (m), 𝐲 the point of the target that was faced at the last evaluation
+        (collective)."""
+        self.target.refresh()
+        return self.kinematics.positions() - self.target.positions(self.kinematics.at.point, self.kinematics.at.N)
+
+    def touches(self) -> Bool:
+        """(n,) which points touched or overlapped at the last evaluation."""
+        k = self.kinematics
+        return np.asarray(k.may_close & (k.at.g >= -k.touch))
 
     # ---------------------------------------------------------------- steps
 

@@ -18,6 +18,7 @@ from dolfinx_mortar_al.contact_iteration import ContactIteration
 from dolfinx_mortar_al.linear_solver import EXTERNAL, LinearSolver
 from dolfinx_mortar_al.load import Load
 from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.ties import Bearing
 from dolfinx_mortar_al.validation import number, whole
 
 __all__ = ["NewtonResult", "NewtonSolver", "Path"]
@@ -40,6 +41,7 @@ WANDERS_AFTER = 8  # iterations without progress after which friction bounds are
 SETTLED = 3  # if in so many of them, the last, no point has opened or closed
 HELD = 0.9  # share of what a tie bore, of which it bears less at the next place where something resists the slide
 PUSHED = 0.01  # of the contact forces: what loads push with must be resisted by more than a tie
+PUSHED_ALONG = 1e-3  # the same along surfaces with friction: a tie is not to bear what friction does not
 SLIDES = 0.1  # of the contact forces: what is left of a coarse mesh's pressures along a slide is less
 MAX_MOVES = 20  # places that a sliding piece is tied to in a solve
 LETS_GO = 1e-3  # relative residual from which on Newton knows which points are beyond the target's end
@@ -130,7 +132,8 @@ class NewtonSolver:
         self._patterns: list[int] = []
         self._cycles, self._damping, self._freezes, self._whole_step = 0, 1.0, 0, True
         self._law_since, self._set_since, self._freed = 0, 0, False
-        self._borne, self._moves, self._stride = np.nan, 0, 0.0
+        self._moves, self._stride = 0, 0.0
+        self._borne: NDArray[np.float64] | None = None
         for pair in p.pairs:
             pair.begin()
         p.start_ties()
@@ -151,8 +154,8 @@ class NewtonSolver:
         self.result.converged = reason > 0
         if reason > 0:
             p.unpack(p.x)
-            if p.ties is not None and self.result.iterations > 0:
-                p.ties.measure(self.linear.response)
+            if self.result.iterations > 0:
+                p.measure_ties(self.linear.response)
             if p.inverted_volume() > 0:
                 self.result.converged = False
                 self.result.message = "an inverted cell (det F ≤ 0) in the converged state"
@@ -312,24 +315,48 @@ class NewtonSolver:
         p, ties = self.problem, self.problem.ties
         if ties is None or not ties.acts:
             return False
-        borne, pushed = p.ties_bear()
-        now, before = float(borne.max()), self._borne
-        allowed = SLIDES if pushed.max() <= PUSHED else PUSHED
-        if now <= self.rtol or HELD * before < now <= allowed:
-            ties.borne = borne
+        bear, before = p.ties_bear(), self._borne
+        now = float(bear.borne.max())
+        # what ties bear, as a multiple of what they bore at the last place
+        left = np.nan if before is None else float(np.sum(bear.along * before) / np.sum(before**2))
+        if now <= self.rtol or (left > HELD and np.all(bear.borne <= self._bearable(bear))):
+            ties.borne = bear.borne
             return False
-        if now < HELD * before:  # resisted: so far that nothing is left, had it gone on like that
-            on, self._stride = now / (before - now) * (self._stride + 1.0), 0.0
+        if before is None:
+            on = 0.0
+        elif (
+            left < HELD
+        ):  # resisted: so far that nothing is left, had it gone on like that; back if it has gone too far
+            on = (self._stride + 1.0) / (1.0 - left) - 1.0
         else:  # not yet: twice as far each time
-            on = self._stride = 0.0 if np.isnan(before) else 2.0 * self._stride + 1.0
-        length = on * p.longest_motion(p.bodies.get() - ties.anchor)
+            on = 2.0 * self._stride + 1.0
+            self._let_be(bear)
+        length = abs(on) * p.longest_motion(ties.stretch())
         on *= min(1.0, LONGEST / max(length, 1e-300))
         if iteration > 0:
-            ties.measure(self.linear.response)
+            p.measure_ties(self.linear.response)
         others = p.move_ties(self.snes.getFunction()[0], on)
-        self._borne, self._moves = np.nan if others or now < HELD * before else now, self._moves + 1
+        self._borne, self._stride = (None, 0.0) if others else (bear.along, on)
+        self._moves += 1
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         return True
+
+    def _bearable(self, bear: Bearing) -> NDArray[np.float64]:
+        """(pieces,) what ties may bear, as a share of the contact forces: an error of the mesh, but nothing that a load
+        pushes with and friction does not bear."""
+        resisted = np.where(bear.rubs, self.rtol, PUSHED)
+        return np.where(bear.pushed <= np.where(bear.rubs, PUSHED_ALONG, PUSHED), SLIDES, resisted)
+
+    def _let_be(self, bear: Bearing) -> None:
+        """Ties bear the same again. Do without those of pieces that one side alone presses on, along its surface: they are
+        pushed away from it; and, MAX_MOVES places on, along surfaces with friction on which loads push a piece."""
+        ties = self.problem.ties
+        assert ties is not None
+        ties.let_be |= bear.alone & bear.rubs
+        slipping = bear.rubs & (bear.pushed > PUSHED_ALONG)
+        if self._moves == MAX_MOVES and (slipping & ~ties.slipping).any():
+            ties.slipping |= slipping
+            self._moves = 0
 
     def _guard(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Shorten the step x ← x − y until no cell is inverted and no closed point slides too far."""

@@ -8,7 +8,7 @@ of ranks that share no ghost: element blocks are inserted with global indices an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -30,7 +30,7 @@ from dolfinx_mortar_al.pieces import Piece
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.surface import check_surfaces
-from dolfinx_mortar_al.ties import Ties
+from dolfinx_mortar_al.ties import Bearing, Ties
 from dolfinx_mortar_al.validation import check_names, joint_thickness, listed
 
 __all__ = ["ContactProblem", "Snapshot"]
@@ -49,6 +49,7 @@ SLIDE = (
 )
 TOLD = 1e-3  # share of the contact forces that a tie may bear unsaid
 LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
+NOISE = 1e-3  # share of round-off in a body's forces below which a tie bears nothing
 UNSEEN = 1e-6  # share of round-off in a body's forces below which a load counts as none from the start
 
 #: All that a step may change, on this rank: arrays by the name of the member that owns them and their own.
@@ -232,8 +233,8 @@ class ContactProblem:
         #: springs on the pieces that contact alone holds, in the Jacobian only: (N/m) and the share of them in use
         self.springs, self.spring_share = self.bodies.springs(diagonals), 0.0
         self._spring_shares = self.bodies.spring_shares(diagonals, self._touched)
-        #: of pieces that contact alone holds, without friction and any prescribed component; None if there are none
-        self.ties = self._create_ties()
+        #: of pieces that contact alone holds; None if there are none
+        self.ties = None if self.springs is None else Ties(self.bodies, self.springs.array_r * self._spring_shares)
         self._pressed: Array = np.zeros(self.bodies.pieces)  # most of the contact forces in this solve (N)
         if self.ties is not None:
             self.members["ties"] = self.ties
@@ -488,37 +489,73 @@ class ContactProblem:
             nodes = mine.reshape(-1, self.gdim)
             A.setValuesRCV(nodes, nodes, self.ties.springs(multigrid=self.spare_pattern), _ADD)
 
-    def _create_ties(self) -> Ties | None:
-        if self.springs is None:
-            return None
-        resisted = self.bodies.prescribed_pieces()
-        for pair, touched in zip(self.pairs, self._touched, strict=True):
-            resisted |= touched & bool(pair.friction)
-        return Ties(self.bodies, self.springs.array_r * self._spring_shares, resisted)
+    def measure_ties(self, response: Callable[[Array], Array]) -> None:
+        """What resists rigid motions in this state, from the displacements that nodal forces (owned dofs,) lead to
+        (collective)."""
+        if self.ties is not None:
+            self.ties.measure(response, self._rubbing)
 
-    def ties_bear(self) -> tuple[Array, Array]:
-        """(pieces,) what ties bear, and what loads push with along the same motions, as shares of the contact forces on
-        each piece, of the largest in this solve: what one side alone presses on is pushed away from it (collective)."""
+    def _relative(self, motions: Array) -> list[Array]:
+        """(n, motions, gdim) velocities of each pair's points relative to what they face that displacements (owned dofs,
+        motions) bring about (collective)."""
+        u, here = self.bodies.get(), [pair.apart() for pair in self.pairs]
+        there = []
+        for m in motions.T:
+            self.bodies.set(u + m)
+            there.append([pair.apart() - x for pair, x in zip(self.pairs, here, strict=True)])
+        self.bodies.set(u)
+        for pair in self.pairs:
+            pair.apart()
+        return [np.stack(v, axis=1) for v in zip(*there, strict=True)]
+
+    def _rubbing(self, motions: Array) -> Array:
+        """(motions, motions) mean over the contact forces of 𝐦_T⊗𝐦_T, the velocities along surfaces with friction that
+        displacements (owned dofs, motions) are (collective)."""
+        total, pressed = np.zeros((motions.shape[1],) * 2), 0.0
+        for pair, v in zip(self.pairs, self._relative(motions), strict=True):
+            weight = pair.j * pair.state.p * np.any(v, axis=(1, 2))
+            if pair.friction:
+                v = v - np.einsum("nkd,nd,ne->nke", v, pair.at.ν, pair.at.ν)
+                total += np.einsum("n,nkd,nld->kl", weight, v, v)
+            pressed += float(weight.sum())
+        return np.asarray(self.comm.allreduce(total) / max(self.comm.allreduce(pressed), 1e-300))
+
+    def _holding(self, motions: Array) -> Array:
+        """(motions, motions) mean over the area that faces a target of 𝐦⊗𝐦 where it touches, the relative velocities that
+        displacements (owned dofs, motions) are, of which without friction the normal parts count (collective)."""
+        total, faced = np.zeros((motions.shape[1],) * 2), 0.0
+        for pair, v in zip(self.pairs, self._relative(motions), strict=True):
+            area = pair.j * pair.at.facing * np.any(v, axis=(1, 2))
+            if not pair.friction:
+                v = np.einsum("nkd,nd->nk", v, pair.at.ν)[:, :, None]
+            total += np.einsum("n,nkd,nld->kl", area * pair.touches(), v, v)
+            faced += float(area.sum())
+        return np.asarray(self.comm.allreduce(total) / max(self.comm.allreduce(faced), 1e-300))
+
+    def ties_bear(self) -> Bearing:
+        """What ties bear, as shares of the contact forces on each piece, of the largest in this solve: what one side alone
+        presses on is pushed away from it (collective)."""
         assert self.ties is not None
-        f, pressed = self.ties.forces(), np.zeros(self.bodies.pieces)
+        pressed = np.zeros(self.bodies.pieces)
         for pair, touched in zip(self.pairs, self._touched, strict=True):
             pressed += touched * float(np.linalg.norm(pair.force()))
         np.maximum(self._pressed, pressed, out=self._pressed)
-        loads = self.bulk_forces.array_r - f
-        return self.ties.along(f) / self._pressed, self.ties.along(loads) / self._pressed
+        return self.ties.bearing(self.bulk_forces.array_r, self._pressed, pressed, NOISE * self.force_floor)
 
     def start_ties(self) -> None:
-        """At the start of a solve: along motions that next to nothing resisted in the last equilibrium, or along all
-        before the first one (collective)."""
+        """At the start of a solve: along motions that next to nothing resisted in the last equilibrium, or before the first
+        one along those that what touches does not hold (collective)."""
         if self.ties is not None:
-            self._pressed = np.asarray(self.force_floor / UNSEEN)
-            self.ties.borne[:] = 0.0
-            self.ties.engage(everything=any(pair.active.guessed for pair in self.pairs))
+            self._pressed[:] = 0.0
+            first = any(pair.active.guessed for pair in self.pairs)
+            self.ties.begin(self._holding if first else None)
 
     def move_ties(self, f: PETSc.Vec, on: float) -> bool:
         """Tie the pieces to where they are, and `on` times as far from where they were tied to; f, the residual, is
         brought up to date. Whether other motions are tied than before (collective)."""
         assert self.ties is not None
+        for pair in self.pairs:
+            pair.begin_again()
         self.bulk_forces.array[:] -= self.ties.forces()
         self.ties.move(on)
         changed = self.ties.engage()

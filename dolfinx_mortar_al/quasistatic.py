@@ -293,8 +293,8 @@ class _LoadControl(Controller[Step]):
         self._legs, self._event, self._predictor = legs, event, Predictor(problem)
         self.leg, self._start = int(start), start - int(start)
         self._leg_over = self._over = False
-        # whether the next, any trial of this step does without a prediction; whether they insist on ties
-        self._from_last = self._tried_from_last = self._insists = False
+        # whether the next, any trial of this step does without a prediction
+        self._from_last = self._tried_from_last = False
         self._path = start
 
     def begin(self) -> None:
@@ -335,16 +335,10 @@ class _LoadControl(Controller[Step]):
             self._predictor.predict(self._x / leg.increments)
         with leg.watch:
             leg.load.set(leg.value(self._x))
-        ties = self.problem.ties
-        if ties is not None:
-            ties.insists = self._insists
         attempt = _solve(self.problem, self.solver)
         again = not attempt.newton.converged and not self._tried_from_last and bool(self.problem.floating)
         # A prediction may leave nothing closed or sticking that holds a body which only contact holds; the last state has it.
-        # Before there is one nothing is pressed that could hold it: it is tied.
-        first = any(pair.active.guessed for pair in self.problem.pairs)
-        self._insists |= again and first and ties is not None and ties.leaves_out
-        self._from_last = again and (predicted or self._insists)
+        self._from_last = again and predicted
         if self._from_last:
             attempt.cut, self._tried_from_last = 1.0, True
         return attempt
@@ -359,7 +353,7 @@ class _LoadControl(Controller[Step]):
 
     def accept(self, done: stepping.Step) -> Step:
         leg, stage = self._legs[self.leg], self.leg
-        self._from_last = self._tried_from_last = self._insists = False
+        self._from_last = self._tried_from_last = False
         self.problem.commit()
         leg.x, self._at = self._x, self._tried
         self._predictor.add(leg.x / leg.increments)

@@ -1,7 +1,8 @@
-"""Ties of pieces that contact alone holds and that nothing keeps from sliding (``docs/newton.md``).
+"""Ties of pieces that contact alone holds, along what nothing resists (``docs/newton.md``).
 
-A body squeezed between flat plates may lie anywhere along them, and what pressures leave along the plates, an error of the
-mesh, has nothing to resist it: as a rule there is no equilibrium. So such a piece is tied to where it was in the last one,
+A body squeezed between flat plates may lie anywhere along them, a wheel may roll along its track, and what pressures leave
+along the plates, an error of the mesh, has nothing to resist it: as a rule there is no equilibrium. So such a piece is tied
+to where it was in the last one,
 
     𝐟 = ∑ κ 𝐦 (𝐦·(𝐮 − 𝐚)),
 
@@ -9,13 +10,13 @@ with the rigid motions 𝐦 that next to nothing resists, orthonormal over the n
 else. When Newton has converged the piece is tied to where it is then, and the solve goes on: where something does resist the
 slide the tie bears less each time; where nothing does it bears the same again.
 
-What friction or a plane of symmetry holds needs no tie but at the start, where a pin, say, touches its hole at a point and
-nothing is pressed yet: if a first solve fails it is tied until Newton has converged.
+Before the first equilibrium nothing is pressed: tied are the motions that what touches could not hold.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -24,17 +25,42 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.pieces import rigid_motions
 
-__all__ = ["Ties"]
+__all__ = ["Bearing", "Ties"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 STIFFNESS = 0.1  # of a tie, as a share of what a piece resists a deformation of its own size with
 NEUTRAL = 0.1  # share of a tie below which what resists a motion leaves it free
+RUBS = (
+    0.1  # of a motion, in the mean over the contact forces: what goes along surfaces with friction if it is no rolling
+)
+HOLDS = 0.1  # of a motion's square, in the mean over what faces each other, from which on what touches holds it
 HELD = 1e-6  # norm over prescribed components of a rigid motion, one in the mean over the nodes, that is let be
 SAME = 0.1  # difference of two projections onto motions that count as the same
 WEAK = 1e-6  # share of a tie that springs at the nodes have, which make the sparse Jacobian regular,
 WEAK_TO_MULTIGRID = 1e-3  # where multigrid inverts it
+HISTORY = ("anchor", "resistance", "rubbing", "slipping", "borne")
+
+
+class Bearing(NamedTuple):
+    """What ties bear, by pieces.
+
+    Attributes:
+        along: (pieces, motions) along the motions of each piece, as shares of the largest contact forces on it in this solve,
+            or of what loads push with, if that is more.
+        borne: (pieces,) their norm.
+        alone: (pieces,) whether it is more than half of the present ones: one side alone presses the piece against its tie.
+        pushed: (pieces,) what loads push with along the same motions, as the share that `borne` is.
+        rubs: (pieces,) whether friction could bear it.
+    """
+
+    along: Array
+    borne: Array
+    alone: Flags
+    pushed: Array
+    rubs: Flags
 
 
 class Ties:
@@ -43,19 +69,19 @@ class Ties:
     Args:
         bodies: all of them.
         diagonal: (owned dofs,) of the bodies' stiffness (N/m), 0 where nothing is to be tied.
-        resisted: (pieces,) of which some component is prescribed, or which touch something with friction. Those are tied only
-            if a first solve insists, until Newton has converged.
 
     Attributes:
         anchor: (owned dofs,) displacement where the ties bear nothing (m).
         resistance: (pieces, motions, motions) to the rigid motions of each piece in the last equilibrium (N/m), 0 where that
             is not known.
-        insists: whether a first solve ties what is `resisted`, too.
+        rubbing: (pieces, motions, motions) share of each motion's square that goes along surfaces with friction.
+        slipping: (pieces,) which loads push along such surfaces beyond what friction bears: they are not tied along them.
+        let_be: (pieces,) which are not tied in this solve.
         borne: (pieces,) what ties bear in the last equilibrium, as a share of the contact forces.
         motions, stiffness, piece: (ties, owned dofs), (ties,) in N/m and (ties,) of the ties in use.
     """
 
-    def __init__(self, bodies: Bodies, diagonal: Array, resisted: NDArray[np.bool_]) -> None:
+    def __init__(self, bodies: Bodies, diagonal: Array) -> None:
         self._bodies, d = bodies, bodies.gdim
         self._piece, self._prescribed = bodies.piece_of_dof[::d], bodies.prescribed().reshape(-1, d)
         each = np.stack([np.ones(len(self._piece)), diagonal.reshape(-1, d).mean(axis=1)])
@@ -63,12 +89,13 @@ class Ties:
         self._nodes = np.maximum(count, 1.0)
         # n springs of k at n nodes: k n^(2/d) is what a body resists a deformation of its size with, k its nodes' stiffness
         self._k = STIFFNESS * total / self._nodes ** (1.0 + 2.0 / d)
-        self._all: Index = np.flatnonzero(self._k)
-        self._pieces: Index = np.flatnonzero((self._k > 0) & ~resisted)
-        self.insists = False
+        self._pieces = [int(p) for p in np.flatnonzero(self._k)]
         m = 3 * (d - 1)
         self.anchor: Array = bodies.get()
         self.resistance: Array = np.zeros((bodies.pieces, m, m))
+        self.rubbing: Array = np.zeros_like(self.resistance)
+        self.slipping: Flags = np.zeros(bodies.pieces, dtype=bool)
+        self.let_be: Flags = np.zeros(bodies.pieces, dtype=bool)
         self.borne: Array = np.zeros(bodies.pieces)
         self._free = np.zeros_like(self.resistance)  # projects onto the motions that are tied
         self.motions: Array = np.zeros((0, len(diagonal)))
@@ -80,11 +107,6 @@ class Ties:
         """Whether anything is tied."""
         return len(self.stiffness) > 0
 
-    @property
-    def leaves_out(self) -> bool:
-        """Whether some pieces are tied only if a solve insists."""
-        return len(self._pieces) < len(self._all)
-
     def _by_piece(self, values: Array) -> Array:
         """(pieces, ...) sums of nodal values (owned nodes, ...) of this rank."""
         total = np.zeros((self._bodies.pieces, *values.shape[1:]))
@@ -93,47 +115,82 @@ class Ties:
 
     # ---------------------------------------------------------------- which motions
 
-    def engage(self, *, everything: bool = False) -> bool:
-        """Tie motions that next to nothing resists, or all; whether they are others than before (collective)."""
-        before, self._free = self._free, np.zeros_like(self._free)
-        pieces = self._all if everything and self.insists else self._pieces
-        rows, piece = [np.zeros((0, self.anchor.size))], [np.zeros(0, dtype=np.int64)]
-        R = self._rigid_motions() if len(pieces) else np.zeros(0)
-        for p, free in zip(pieces, self._admissible(R, pieces) if everything else self._soft(pieces), strict=True):
-            self._free[p] = free @ free.T
-            mine = (self._piece == p)[:, None, None] * R @ free / np.sqrt(self._nodes[p])
-            rows.append(mine.reshape(self.anchor.size, -1).T)
-            piece.append(np.full(free.shape[1], p))
-        self.motions, self.piece = np.concatenate(rows), np.concatenate(piece)
-        self.stiffness = self._k[self.piece]
+    def begin(self, holding: Callable[[Array], Array] | None) -> None:
+        """A solve begins: tie motions that next to nothing resisted in the last equilibrium, or before the first one those
+        that what touches does not hold: of the squares of motions (owned dofs, motions) `holding` gives the mean of what it
+        holds, (motions, motions) (collective)."""
+        self.borne[:], self.let_be[:] = 0.0, False
+        if holding is None:
+            self.engage()
+        else:
+            self.slipping[:] = False
+            R, admissible = self._admissible()
+            self._tie(
+                R, [self._unheld(R, p, basis, holding) for p, basis in zip(self._pieces, admissible, strict=True)]
+            )
+
+    def engage(self) -> bool:
+        """Tie motions that next to nothing resists; whether they are others than before (collective)."""
+        before = self._free
+        R, admissible = self._admissible()
+        self._tie(R, [self._soft(p, basis) for p, basis in zip(self._pieces, admissible, strict=True)])
         return bool(np.abs(self._free - before).max(initial=0.0) > SAME)
 
-    def _soft(self, pieces: Index) -> list[Array]:
-        """(motions, ·) of each of the pieces an orthonormal basis of the rigid motions that next to nothing resists."""
-        resistance = self.resistance[pieces]
-        share, axes = np.linalg.eigh((resistance + np.swapaxes(resistance, 1, 2)) / 2)
-        soft = (share < NEUTRAL * self._k[pieces, None]) & np.any(resistance, axis=(1, 2), keepdims=True)[:, :, 0]
-        return [v[:, free] for v, free in zip(axes, soft, strict=True)]
+    def _tie(self, R: Array, free: list[Array]) -> None:
+        """Tie the pieces along combinations of the rigid motions R, (motions, ·) orthonormal for each of them."""
+        self._free = np.zeros_like(self.resistance)
+        along: list[Array] = [np.zeros((self.anchor.size, 0))]
+        for p, f in zip(self._pieces, free, strict=True):
+            self._free[p] = f @ f.T
+            along.append(self._of(p, R) @ f)
+        self.motions = np.concatenate(along, axis=1).T.copy()
+        self.piece = np.repeat(np.array(self._pieces, dtype=np.int64), [f.shape[1] for f in free])
+        self.stiffness = self._k[self.piece]
 
-    def _admissible(self, R: Array, pieces: Index) -> list[Array]:
-        """(motions, ·) of each of the pieces an orthonormal basis of those rigid motions R that its conditions let be
-        (collective)."""
-        if not len(pieces):
-            return []
+    def _soft(self, p: int, basis: Array) -> Array:
+        """(motions, ·) an orthonormal basis of those motions of a piece, out of a `basis`, that next to nothing resists."""
+        resistance = self.resistance[p]
+        if self.let_be[p] or not resistance.any():
+            return np.zeros((len(basis), 0))
+        if self.slipping[p]:
+            resistance = resistance + NEUTRAL * self._k[p] / RUBS**2 * self.rubbing[p]
+        share, axes = np.linalg.eigh(basis.T @ (resistance + resistance.T) @ basis / 2)
+        return np.asarray(basis @ axes[:, share < NEUTRAL * self._k[p]])
+
+    def _unheld(self, R: Array, p: int, basis: Array, holding: Callable[[Array], Array]) -> Array:
+        """(motions, ·) an orthonormal basis of those of the motions R of a piece, out of a `basis`, that what touches does
+        not hold (collective)."""
+        if not basis.size:
+            return basis
+        share, axes = np.linalg.eigh(self._nodes[p] * holding(self._of(p, R) @ basis))
+        return np.asarray(basis @ axes[:, share < HOLDS])
+
+    def _admissible(self) -> tuple[Array, list[Array]]:
+        """The rigid motions of :meth:`_rigid_motions`, and for each of the pieces (motions, ·) an orthonormal basis of those
+        that its conditions let be (collective)."""
+        if not self._pieces:
+            return np.zeros(0), []
+        R = self._rigid_motions()
         fixed = R * self._prescribed[:, :, None]
         gram = self._bodies.comm.allreduce(self._by_piece(np.swapaxes(fixed, 1, 2) @ fixed), MPI.SUM)
-        square, axes = np.linalg.eigh(gram[pieces])
-        return [v[:, s < HELD**2] for s, v in zip(square, axes, strict=True)]
+        square, axes = np.linalg.eigh(gram[self._pieces])
+        return R, [v[:, s < HELD**2] for s, v in zip(square, axes, strict=True)]
 
-    def measure(self, response: Callable[[Array], Array]) -> None:
-        """What resists rigid motions: from the displacements that nodal forces (owned dofs,) lead to (collective)."""
-        if not len(self._pieces):
-            return
-        R = self._rigid_motions()
-        for p in self._pieces:
-            m = ((self._piece == p)[:, None, None] * R / np.sqrt(self._nodes[p])).reshape(self.anchor.size, -1)
+    def _of(self, p: int, R: Array) -> Array:
+        """(owned dofs, motions) the rigid motions R of a piece, orthonormal over its nodes."""
+        return ((self._piece == p)[:, None, None] * R / np.sqrt(self._nodes[p])).reshape(self.anchor.size, -1)
+
+    def measure(self, response: Callable[[Array], Array], rubbing: Callable[[Array], Array]) -> None:
+        """What resists rigid motions, from the displacements that nodal forces (owned dofs,) lead to; and of the squares of
+        motions (owned dofs, motions) the mean of what goes along surfaces with friction, (motions, motions) (collective)."""
+        R, admissible = self._admissible()
+        for p, basis in zip(self._pieces, admissible, strict=True):
+            if not basis.size:
+                continue
+            m = self._of(p, R) @ basis
             flexibility = m.T @ np.stack([response(column) for column in m.T], axis=1)
-            self.resistance[p] = np.linalg.pinv(self._bodies.comm.allreduce(flexibility, MPI.SUM))
+            self.resistance[p] = basis @ np.linalg.pinv(self._bodies.comm.allreduce(flexibility, MPI.SUM)) @ basis.T
+            self.rubbing[p] = self._nodes[p] * basis @ rubbing(m) @ basis.T
 
     def _rigid_motions(self) -> Array:
         """(owned nodes, gdim, motions) of the piece that each node is of, at the present positions, orthonormal in the mean
@@ -162,11 +219,23 @@ class Ties:
         return (self.stiffness * self.times(u)) @ self.motions if self.acts else np.zeros_like(u)
 
     def along(self, forces: Array) -> Array:
-        """(pieces,) resultant (N) of nodal forces (owned dofs,) along the tied motions at the present positions
-        (collective)."""
+        """(pieces, motions) of nodal forces (owned dofs,) what acts along the tied motions, at the present positions (N,
+        collective)."""
         f = forces.reshape(len(self._piece), -1)
         total = self._bodies.comm.allreduce(self._by_piece(np.einsum("nim,ni->nm", self._rigid_motions(), f)), MPI.SUM)
-        return np.asarray(np.linalg.norm((self._free @ total[:, :, None])[:, :, 0], axis=1))
+        return np.asarray((self._free @ total[:, :, None])[:, :, 0])
+
+    def bearing(self, bulk: Array, most: Array, present: Array, noise: Array) -> Bearing:
+        """What ties bear where `bulk` (owned dofs,) are the bodies' forces with those of ties, and the contact forces on each
+        piece, present ones and the `most` of them in this solve (pieces,), in N; what is less than `noise` (pieces,) is
+        nothing (collective)."""
+        f = self.forces()
+        borne, pushed = self.along(f), np.linalg.norm(self.along(bulk - f), axis=1)
+        borne *= (np.linalg.norm(borne, axis=1) > noise)[:, None]
+        size, most = np.linalg.norm(borne, axis=1), np.maximum(np.maximum(most, pushed), 1e-300)
+        rubs = np.einsum("pi,pij,pj->p", borne, self.rubbing, borne) > (RUBS * size) ** 2
+        alone = (size > present / 2) & (present > 0)
+        return Bearing(borne / most[:, None], size / most, alone, pushed / most, rubs)
 
     def springs(self, *, multigrid: bool) -> Array:
         """(owned nodes, gdim, gdim) stiffness (N/m) of weak springs at the nodes, along the motions: weaker for factors than
@@ -177,16 +246,19 @@ class Ties:
 
     # ---------------------------------------------------------------- steps
 
+    def stretch(self) -> Array:
+        """(owned dofs,) how far the pieces are from where they are tied to, along the ties (m, collective)."""
+        return np.asarray(self.times(self._bodies.get() - self.anchor) @ self.motions)
+
     def move(self, on: float) -> None:
-        """Tie the pieces to where they are, and `on` times as far from where they were tied to."""
-        u = self._bodies.get()
-        self.anchor = u + on * (u - self.anchor)
+        """Tie the pieces to where they are, and `on` times as far from where they were tied to (collective)."""
+        self.anchor = self._bodies.get() + on * self.stretch()
 
     def snapshot(self) -> dict[str, Array]:
         """What a step may change."""
-        return {"anchor": self.anchor.copy(), "resistance": self.resistance.copy(), "borne": self.borne.copy()}
+        return {name: getattr(self, name).copy() for name in HISTORY}
 
     def restore(self, saved: dict[str, Array]) -> None:
         """Back to a snapshot."""
-        self.anchor, self.resistance = saved["anchor"].copy(), saved["resistance"].copy()
-        self.borne = saved["borne"].copy()
+        for name in HISTORY:
+            setattr(self, name, saved[name].astype(getattr(self, name).dtype))
