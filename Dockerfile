@@ -19,4 +19,5 @@ ENV OMP_NUM_THREADS=1 \
 
 COPY . /opt/dolfinx_mortar_al
 WORKDIR /opt/dolfinx_mortar_al
+RUN python3 -m compileall -q .
 CMD ["python3", "demos/two_beams.py", "--output", "/results"]
