@@ -48,7 +48,10 @@ def cell_measure(u: fem.Function, dx: ufl.Measure | None = None) -> ufl.Measure:
 
 def artanh_rest(z: Expr) -> Expr:
     """artanh z − z, by its series where that would cancel."""
-    series = z**3 * sum(z ** (2 * k) / (2 * k + 3) for k in range(6))
+    rest: Any = 0
+    for k in reversed(range(6)):  # Horner's scheme: powers would be calls of pow()
+        rest = 1 / (2 * k + 3) + z * z * rest
+    series = z * z * z * rest
     return ufl.conditional(ufl.lt(abs(z), SERIES), series, ufl.ln((1 + z) / (1 - z)) / 2 - z)
 
 
