@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.corners import SharpCorners
@@ -78,10 +79,17 @@ class Blocks:
             self._weights: Array = np.abs(N) * points.j[:, None]
         # (n, nodes, own nodes, components): shape functions, with redundant nodes eliminated
         self._nodal = N[:, :, None, None] * np.moveaxis(multiplier.T, 1, 3)[points.facet]
+        self._along: Array | None = None
         self.turn(None)
 
     def turn(self, ν: Array | None) -> None:
         """Let the multiplier's normal part be that along ν (n, gdim), or take its components in global axes (collective)."""
+        known = ν is not None and self._along is not None and bool(np.array_equal(ν, self._along))
+        if ν is not None and self.multiplier.submesh.comm.allreduce(
+            known, MPI.LAND
+        ):  # a time step holds its directions
+            return
+        self._along = None if ν is None else ν.copy()
         #: (n, components, nodes × components) the multiplier at each point from its facet's unknowns
         self.NΛ: Array = self._masked(whole := self._interpolation(ν))
         self._whole = whole

@@ -260,6 +260,14 @@ def check_linear(name: str, form: ufl.Form) -> None:
     Raises:
         ValueError: if it is not.
     """
+    arities = ufl.algorithms.check_arities
+    try:
+        arities.check_form_arity(form, form.arguments())  # as it is written, which is quick
+    except (arities.ArityMismatch, Exception):  # there are derivatives in it, or it is not
+        _check_written_out(name, form)
+
+
+def _check_written_out(name: str, form: ufl.Form) -> None:
     try:
         ufl.algorithms.compute_form_data(form)
     except ufl.algorithms.check_arities.ArityMismatch as error:
