@@ -11,8 +11,10 @@ contact as it is. Newton's step is the first semi-smooth step towards that x; th
 contact's share alone from the one that has been factorised, by a low rank where few points have changed their state: GMRES
 with the factors at hand for preconditioner takes few iterations, and no form is assembled.
 
-What is left then is the bulk's nonlinearity alone. In space, where a factorisation costs as much as many solves, its forces
-are assembled at that x, and further steps are taken with the derivative at 𝐱_k (Shamanskii's method) as long as that pays.
+What is left then is the bulk's nonlinearity alone. Its forces are assembled at that x, as Newton's next iteration would do,
+and further steps are taken with the derivative at 𝐱_k (Shamanskii's method) as long as that pays: in space, where a
+factorisation costs as much as many solves, always; in the plane where contact is what it was at 𝐱_k, so that a solve with the
+factors at hand is all that a step takes.
 """
 
 from __future__ import annotations
@@ -64,10 +66,10 @@ class ContactIteration:
         # in the plane thin belts would fly off, and membranes take more iterations, by what settles contact in space
         self._is_solid = linear.is_solid
         self.steps = self.solves = 0
-        self._z, self._step, self._total, self._best = (problem.x.duplicate() for _ in range(4))
+        self._z, self._step, self._total, self._best, self._way = (problem.x.duplicate() for _ in range(5))
         self._f, self._goal = problem.residual.duplicate(), problem.residual.duplicate()
         self._forces = problem.bulk_forces.duplicate()
-        self._at_z = False
+        self._at_z = self._bulk_at_z = False
         self._ksp = PETSc.KSP().create(problem.comm)
         self._ksp.setType("gmres")
         if linear.iterative:  # what is left of forces and gaps is measured; factors tell the error itself
@@ -75,60 +77,58 @@ class ContactIteration:
         self._ksp.getPC().setType("python")
         self._ksp.getPC().setPythonContext(_Inverse(linear))
 
-    def has_evaluated(self, x: PETSc.Vec) -> bool:
-        """Whether the pairs were last evaluated here, and at x (collective); asked once."""
+    def known(self, x: PETSc.Vec) -> tuple[bool, bool]:
+        """Whether the pairs were last evaluated, and the bulk's forces last assembled, here and at x (collective; once)."""
         known, self._at_z = self._at_z, False
         if known:
             self._z.axpy(-1.0, x)
             known = bool(self._z.norm(PETSc.NormType.NORM_INFINITY) == 0.0)
-        if known:  # segments were held until now
-            moved = [pair.follow_segments() for pair in self.problem.pairs]
-            known = not self.problem.comm.allreduce(any(moved), MPI.LOR)
-        return known
+        if not known:
+            return False, False
+        moved = [pair.follow_segments() for pair in self.problem.pairs]  # segments were held until now
+        return not self.problem.comm.allreduce(any(moved), MPI.LOR), self._bulk_at_z
 
     def improve(self, x: PETSc.Vec, y: PETSc.Vec, start: float, residual: PETSc.Vec, share: float) -> PETSc.Vec | None:
-        """What to add to y so that contact settles on the linearised bulk, and in space its forces follow; None if they have
+        """What to add to y so that contact settles on the linearised bulk, and the bulk's forces follow; None if they have
         (collective).
 
         The linear solver was last used with the Jacobian at x, `residual` is that at x, and y is a `share` of Newton's step:
         the same share of the residual is to be taken away. `start` is its size before the active set's last decisions.
         """
-        p, z, enough = self.problem, self._z, max(1.0, ENOUGH * share * start)
+        p = self.problem
+        self._x, self._y, self._at_z, self._bulk_at_z = x, y, True, False
         residual.copy(self._goal)
         self._goal.scale(1.0 - share)
-        self._decisions, before = [pair.decisions() for pair in p.pairs], p.contact_pattern()
+        self._decisions, self._before = [pair.decisions() for pair in p.pairs], p.contact_pattern()
         p.bulk_forces.copy(self._forces)
-        z.waxpy(-1.0, y, x)
-        self._evaluate()
-        self._at_z, patterns = True, [p.contact_pattern()]
-        settled, may_correct = patterns[0] == before, share == 1.0 and self._is_solid
-        if settled and not may_correct:
-            return None
-        bulk, left = LinearisedBulk(p), 0 if settled else self._linear.affordable_solves()
         self._total.set(0.0)
-        size = least = self._balance(bulk, y)
+        self._evaluate()
+        settled, whole = p.contact_pattern() == self._before, share == 1.0
+        if settled and not whole:
+            return None
+        # where contact has not changed a direct solver's factors are those of its share, too
+        bulk = None if settled and not self._linear.iterative else LinearisedBulk(p)
+        changed = bulk is not None and not settled and self._settle(bulk, max(1.0, ENOUGH * share * start))
+        if whole and (settled or self._is_solid):
+            changed |= self._correct(bulk, start)
+        return self._total if changed else None
+
+    def _settle(self, bulk: LinearisedBulk, enough: float) -> bool:
+        """Semi-smooth steps on the linearised bulk until `enough` of the residual is left; whether any was taken."""
+        patterns, left = [self.problem.contact_pattern()], self._linear.affordable_solves()
+        size = least = self._balance(bulk)
         if self._is_solid:
             self._keep()
         while left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
-            matrix = bulk.renew()
-            self._linear.renew_contact(matrix)
-            left -= self._solve(matrix, left)
-            self._total.axpy(1.0, self._step)
-            z.axpy(-1.0, self._step)
-            self._evaluate()
-            self._step.waxpy(1.0, y, self._total)
-            size = self._balance(bulk, self._step)
-            patterns.append(p.contact_pattern())
+            left -= self._solve(bulk, left)
+            size = self._balance(bulk)
+            patterns.append(self.problem.contact_pattern())
             if self._is_solid and size < least:
                 least = size
                 self._keep()
         if self._is_solid and size > least:
             self._go_back()
-        corrected = may_correct and self._correct(bulk, start)
-        if len(patterns) == 1 and not corrected:
-            return None
-        self._at_z = False
-        return self._total
+        return len(patterns) > 1
 
     def _keep(self) -> None:
         """Remember the state: of those on the way the one with the least residual is what counts."""
@@ -137,42 +137,48 @@ class ContactIteration:
 
     def _go_back(self) -> None:
         """To the state that was kept."""
-        self._z.axpy(1.0, self._total)
         self._best.copy(self._total)
-        self._z.axpy(-1.0, self._total)
         for pair, saved in zip(self.problem.pairs, self._chosen, strict=True):
             pair.undo_decisions(saved)
         self._evaluate()
 
-    def _correct(self, bulk: LinearisedBulk, start: float) -> bool:
-        """Steps from z with the bulk's derivative at x, as long as each leaves a share CHORD of the residual or less; whether
-        any was taken."""
+    def _correct(self, bulk: LinearisedBulk | None, start: float) -> bool:
+        """Steps from z with the bulk's derivative at x, and without `bulk` contact's as well while it is as it was there, as
+        long as each leaves a share CHORD of the residual or less; whether any was taken."""
         p, taken = self.problem, 0
-        for _ in range(CHORDS):
+        while True:
             p.assemble_bulk()
+            self._bulk_at_z = True
             p.add_contact(self._f)
             size = self._size(self._f)
-            if not 1.0 < size < CHORD * start:
-                break
-            matrix = bulk.renew()
-            self._linear.renew_contact(matrix)
-            self._solve(matrix, SOLVES)
-            self._total.axpy(1.0, self._step)
-            self._z.axpy(-1.0, self._step)
-            self._evaluate()
+            known = bulk is not None or p.contact_pattern() == self._before
+            if taken == CHORDS or not known or not 1.0 < size < CHORD * start:
+                return taken > 0
+            if bulk is not None:
+                self._solve(bulk, SOLVES)
+            else:
+                self._linear.apply(self._f, self._step)
+                self._advance()
             start, taken = size, taken + 1
-        return taken > 0
 
     def undo(self) -> None:
         """Take back the decisions of :meth:`improve`."""
+        self._at_z = False
         for pair, saved in zip(self.problem.pairs, self._decisions, strict=True):
             pair.undo_decisions(saved)
+
+    def _advance(self) -> None:
+        """The step is taken."""
+        self._total.axpy(1.0, self._step)
+        self._evaluate()
 
     def _evaluate(self) -> None:
         """Bring the pairs and their active sets up to date with z, at the points as they are: contact's state is compared
         point by point. In space gaps are off by what GMRES leaves in the next step, as they are linear but for contact; in
         the plane their whole error counts."""
         p = self.problem
+        self._way.waxpy(1.0, self._y, self._total)
+        self._z.waxpy(-1.0, self._way, self._x)  # with the line search's own rounding
         p.unpack(self._z)
         for pair in p.pairs:
             pair.holds_points = True
@@ -185,17 +191,19 @@ class ContactIteration:
             self._f.scale(LINEAR)
         p.choose(self._f)
 
-    def _balance(self, bulk: LinearisedBulk, y: PETSc.Vec) -> float:
-        """In f the residual at x − y, its bulk linear from x on, less what may be left; returns its size."""
+    def _balance(self, bulk: LinearisedBulk) -> float:
+        """In f the residual at z, its bulk linear from x on, less what may be left; returns its size."""
         p = self.problem
-        bulk.forces(y.getNestSubVecs()[0], p.bulk_forces)
+        bulk.forces(self._way.getNestSubVecs()[0], p.bulk_forces)
         p.bulk_forces.aypx(-1.0, self._forces)
         p.add_contact(self._f)
         self._f.axpy(-1.0, self._goal)
         return self._size(self._f)
 
-    def _solve(self, matrix: PETSc.Mat, most: int) -> int:
+    def _solve(self, bulk: LinearisedBulk, most: int) -> int:
         """A semi-smooth step, by no more than `most` solves with the factors; how many it took."""
+        matrix = bulk.renew()
+        self._linear.renew_contact(matrix)
         self._ksp.setTolerances(rtol=LINEAR, max_it=most)
         self._ksp.setGMRESRestart(most)
         self._ksp.setOperators(matrix)
@@ -207,4 +215,5 @@ class ContactIteration:
             self._step.scale(self._longest / motion)
         solves = self._ksp.getIterationNumber() + 1
         self.steps, self.solves = self.steps + 1, self.solves + solves
+        self._advance()
         return int(solves)

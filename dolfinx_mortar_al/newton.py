@@ -178,7 +178,8 @@ class NewtonSolver:
     # ---------------------------------------------------------------- callbacks
 
     def _function(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        self.problem.assemble_residual(x, f, evaluated=self.contact_iteration.has_evaluated(x))
+        contact, bulk = self.contact_iteration.known(x)
+        self.problem.assemble_residual(x, f, contact=contact, bulk=bulk)
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         self.problem.tension = self._fictitious_tension()

@@ -306,12 +306,13 @@ class ContactProblem:
             part.array[:] = pair.multiplier.field.x.array[: part.getLocalSize()] / pair.unit
         x.assemble()
 
-    def assemble_residual(self, x: PETSc.Vec, f: PETSc.Vec, *, evaluated: bool = False) -> None:
+    def assemble_residual(self, x: PETSc.Vec, f: PETSc.Vec, *, contact: bool = False, bulk: bool = False) -> None:
         """The left-hand side of eq. (3) at x with the active sets as they are: forces, and k times the multipliers'
-        residual (N); `evaluated` if the pairs are up to date with x."""
+        residual (N); `contact` if the pairs are up to date with x, `bulk` if the bulk's forces are."""
         self.unpack(x)
-        self.assemble_bulk()
-        if not evaluated:
+        if not bulk:
+            self.assemble_bulk()
+        if not contact:
             self.evaluate()
         self.add_contact(f)
 

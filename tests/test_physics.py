@@ -10,6 +10,7 @@ from scenes import NU, E, FailingSolver, beams, blocks, set_field, tip
 from scipy.stats import special_ortho_group
 
 from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, materials, quasistatic
+from dolfinx_mortar_al.contact_iteration import ContactIteration
 from dolfinx_mortar_al.kinematics import SHARE
 from dolfinx_mortar_al.verify.mindlin import MU, plane
 from dolfinx_mortar_al.verify.model import integral
@@ -42,8 +43,9 @@ def test_patch(dim, triangles, order, friction):
     assert np.allclose(np.c_[X, np.ones(len(X))] @ strain, problem.u.x.array.reshape(-1, dim), atol=1e-10)
 
 
-def test_newton_converges_quadratically_on_a_smooth_step():
-    """Where no point changes its state, the error squares itself until round-off."""
+def test_newton_converges_quadratically_on_a_smooth_step(monkeypatch):
+    """Where no point changes its state, the error squares itself until round-off, without steps with old derivatives."""
+    monkeypatch.setattr(ContactIteration, "improve", lambda *_: None)
     problem, P = beams(friction=0.3)
     solve(problem, P, 10.0, 4)
     before = problem.pairs[0].state.status.copy()
