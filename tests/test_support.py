@@ -226,7 +226,8 @@ def test_points_too_few_for_a_fine_target_are_reported():
 
 
 def test_a_prediction_with_inverted_cells_is_dropped():
-    """A block crushed by a plate in two uneven steps: extrapolation turns cells inside out, the march goes on."""
+    """A block crushed by a plate in two uneven steps: extrapolation turns cells inside out, the march goes on. Crushed farther,
+    by .85 of its height, it passes equilibria that are unstable, and goes through or not by chance."""
     domain = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     u = fem.Function(V)
@@ -242,7 +243,7 @@ def test_a_prediction_with_inverted_cells_is_dropped():
     problem.inverted_volume = lambda: dropped.append(check()) or dropped[-1]
 
     def crush(t):
-        down.value[1] = -0.9 * t**0.25  # steep at first: a line through the first two states goes beyond the bottom
+        down.value[1] = -0.62 * t**0.25  # steep at first: a line through the first two states goes beyond the bottom
 
     last = list(quasistatic.march(problem, crush, to=1.0, increments=2, start=0.0))[-1]
     assert last.load == 1.0 and max(dropped) > 0 and check() == 0
