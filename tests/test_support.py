@@ -226,8 +226,8 @@ def test_points_too_few_for_a_fine_target_are_reported():
 
 
 def test_a_prediction_with_inverted_cells_is_dropped():
-    """A block crushed by a plate in two uneven steps: extrapolation turns cells inside out, the march goes on. Crushed farther,
-    by .85 of its height, it passes equilibria that are unstable, and goes through or not by chance."""
+    """A block crushed by a plate in two uneven steps: extrapolation turns cells inside out, the march goes on. Crushed
+    farther, by .85 of its height, it passes equilibria that are unstable, and goes through or not by chance."""
     domain = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     u = fem.Function(V)
