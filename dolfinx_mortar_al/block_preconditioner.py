@@ -51,8 +51,8 @@ class BlockPreconditioner:
     Attributes:
         surface_size: unknowns of S.
         idle: set to leave everything as it is, while another solver is at work.
-        stale: set to have multigrid's coarse spaces chosen anew; while the pattern is the same they serve on otherwise, and
-            the Galerkin products alone are brought up to date.
+        stale: set to have multigrid set up anew. While the pattern is the same its coarse levels serve on otherwise, and the
+            finest one alone follows the matrix.
     """
 
     def __init__(self, problem: ContactProblem, prefix: str) -> None:
@@ -83,11 +83,12 @@ class BlockPreconditioner:
         A = p.blocks[0][0]
         if new:
             self._reset()
-        if new and p.pairs:
-            A.axpy(-1.0, p.contact_share, structure=_SUBSET)
+            if p.pairs:
+                A.axpy(-1.0, p.contact_share, structure=_SUBSET)
+                self._set_up_bulk(A)
+                A.axpy(1.0, p.contact_share, structure=_SUBSET)
             self._set_up_bulk(A)
-            A.axpy(1.0, p.contact_share, structure=_SUBSET)
-        self._set_up_bulk(A)
+            self._bulk.getPC().setReusePreconditioner(True)
         self.renew_surface(A)
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
@@ -145,6 +146,7 @@ class BlockPreconditioner:
     def _reset(self) -> None:
         """Forget the multigrid of an earlier pattern."""
         self._bulk.reset()
+        self._bulk.getPC().setReusePreconditioner(False)
         self._coarse = None
         if self._first is not None:
             pc = self._bulk.getPC()

@@ -219,4 +219,6 @@ def _conditions(bcs: Any, u: fem.Function) -> list[fem.DirichletBC]:
     for k, bc in enumerate(conditions):
         if not u.function_space._cpp_object.contains(bc.function_space):
             raise ValueError(f"bcs[{k}]: a Dirichlet condition on another space than u's; pass it to its own body")
+        if not u.function_space.mesh.comm.allreduce(len(bc.dof_indices()[0])):
+            raise ValueError(f"bcs[{k}]: a Dirichlet condition on no node; look at what its dofs were located by")
     return conditions

@@ -32,7 +32,8 @@ __all__ = ["ContactIteration"]
 
 ENOUGH = 0.01  # of the residual that Newton's step started from: the bulk's nonlinearity leaves as much
 CHORD = 0.2  # of the residual: steps with an old derivative go on while each leaves less
-CHORDS, SOLVES = 3, 8  # at most so many of them in a Newton step, and solves in each
+SOLVES = 8  # at most in one of them
+ENDS = 0.01  # of the tolerance: they converge linearly, and Newton's own last step leaves as little
 LINEAR = 0.1  # relative tolerance of GMRES: with 0.01 a fifth less steps for a fifth more solves
 
 
@@ -113,6 +114,14 @@ class ContactIteration:
             changed |= self._correct(bulk, start)
         return self._total if changed else None
 
+    def _follow(self) -> float:
+        """The bulk's forces at z, and in f the residual there; returns its size."""
+        p = self.problem
+        p.assemble_bulk()
+        self._bulk_at_z = True
+        p.add_contact(self._f)
+        return self._size(self._f)
+
     def _settle(self, bulk: LinearisedBulk, enough: float) -> bool:
         """Semi-smooth steps on the linearised bulk until `enough` of the residual is left; whether any was taken."""
         patterns, left = [self.problem.contact_pattern()], self._linear.affordable_solves()
@@ -121,6 +130,7 @@ class ContactIteration:
             self._keep()
         while left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
             left -= self._solve(bulk, left)
+            self._advance()
             size = self._balance(bulk)
             patterns.append(self.problem.contact_pattern())
             if self._is_solid and size < least:
@@ -144,22 +154,19 @@ class ContactIteration:
 
     def _correct(self, bulk: LinearisedBulk | None, start: float) -> bool:
         """Steps from z with the bulk's derivative at x, and without `bulk` contact's as well while it is as it was there, as
-        long as each leaves a share CHORD of the residual or less; whether any was taken."""
-        p, taken = self.problem, 0
-        while True:
-            p.assemble_bulk()
-            self._bulk_at_z = True
-            p.add_contact(self._f)
-            size = self._size(self._f)
-            known = bulk is not None or p.contact_pattern() == self._before
-            if taken == CHORDS or not known or not 1.0 < size < CHORD * start:
-                return taken > 0
-            if bulk is not None:
-                self._solve(bulk, SOLVES)
-            else:
-                self._linear.apply(self._f, self._step)
-                self._advance()
-            start, taken = size, taken + 1
+        long as each leaves a share CHORD of the residual or less; whether any was taken. One that leaves more is undone."""
+        size, taken = self._follow(), False
+        while ENDS < size < CHORD * start and (bulk is not None or self.problem.contact_pattern() == self._before):
+            self._keep()
+            self._solve(bulk, SOLVES)
+            self._advance()
+            start, size = size, self._follow()
+            if not size < start:
+                self._go_back()
+                self._follow()
+                return taken
+            taken = True
+        return taken
 
     def undo(self) -> None:
         """Take back the decisions of :meth:`improve`."""
@@ -200,8 +207,12 @@ class ContactIteration:
         self._f.axpy(-1.0, self._goal)
         return self._size(self._f)
 
-    def _solve(self, bulk: LinearisedBulk, most: int) -> int:
-        """A semi-smooth step, by no more than `most` solves with the factors; how many it took."""
+    def _solve(self, bulk: LinearisedBulk | None, most: int) -> int:
+        """A semi-smooth step from z that takes f away, by no more than `most` solves with the factors; how many it took.
+        Without `bulk` the factors are those of contact's state as well."""
+        if bulk is None:
+            self._linear.apply(self._f, self._step)
+            return 1
         matrix = bulk.renew()
         self._linear.renew_contact(matrix)
         self._ksp.setTolerances(rtol=LINEAR, max_it=most)
@@ -209,11 +220,9 @@ class ContactIteration:
         self._ksp.setOperators(matrix)
         self._ksp.solve(self._f, self._step)
         motion = self.problem.longest_motion(self._step.getNestSubVecs()[0].array_r)
-        if (
-            self._is_solid and motion > self._longest
-        ):  # pressures of points closed by mistake may exceed the stiffness of what they press
+        if self._is_solid and motion > self._longest:
+            # pressures of points closed by mistake may exceed the stiffness of what they press
             self._step.scale(self._longest / motion)
         solves = self._ksp.getIterationNumber() + 1
         self.steps, self.solves = self.steps + 1, self.solves + solves
-        self._advance()
         return int(solves)

@@ -39,7 +39,6 @@ NEARLY = 0.05  # error of frozen bounds, as a share of the largest μp, below wh
 BOUND_TOLERANCE = 1e-6  # on a frozen friction bound, as a share of the largest μp
 WANDERS_AFTER = 8  # iterations without progress after which friction bounds are frozen,
 SETTLED = 3  # if in so many of them, the last, no point has opened or closed
-HELD = 0.9  # share of what a tie bore, of which it bears less at the next place where something resists the slide
 PUSHED = 0.01  # of the contact forces: what loads push with must be resisted by more than a tie
 PUSHED_ALONG = 1e-3  # the same along surfaces with friction: a tie is not to bear what friction does not
 SLIDES = 0.1  # of the contact forces: what is left of a coarse mesh's pressures along a slide is less
@@ -318,15 +317,16 @@ class NewtonSolver:
             return False
         bear, before = p.ties_bear(), self._borne
         now = float(bear.borne.max())
+        held = ties.held(bear.borne)
         # what ties bear, as a multiple of what they bore at the last place
         left = np.nan if before is None else float(np.sum(bear.along * before) / np.sum(before**2))
-        if now <= self.rtol or (left > HELD and np.all(bear.borne <= self._bearable(bear))):
+        if now <= self.rtol or (left > held and np.all(bear.borne <= self._bearable(bear))):
             ties.borne = bear.borne
             return False
         if before is None:
             on = 0.0
         elif (
-            left < HELD
+            left < held
         ):  # resisted: so far that nothing is left, had it gone on like that; back if it has gone too far
             on = (self._stride + 1.0) / (1.0 - left) - 1.0
         else:  # not yet: twice as far each time
@@ -460,6 +460,11 @@ class NewtonSolver:
         _, X = max(p.comm.allgather(mine))
         return f", worst at X = ({', '.join(f'{x:.4g}' for x in X)})"
 
+    def _nearest_is_unstable(self) -> bool:
+        """Whether the determinant is negative at the iterate of the least residual; elsewhere it says nothing."""
+        worst = [max(norms) for norms, _ in zip(self.result.norms, self.result.signs, strict=False)]
+        return bool(worst) and self.result.signs[int(np.argmin(worst))] < 0
+
     def _advice(self) -> str:
         """What a failed solve says of the equilibrium itself."""
         p, parts = self.problem, []
@@ -474,12 +479,12 @@ class NewtonSolver:
             for name, ratio in pair.far_off().items()
         ]:
             parts.append(f"{', '.join(far)}: leave it out")
-        elif any(sign < 0 for sign in self.result.signs) and p.motions:
+        elif self._nearest_is_unstable() and p.motions:
             parts.append(
                 "the Jacobian's determinant is negative on the way: matter is near inversion, or Δt is long for how it "
                 "moves; take a smaller one, or a law that resists compression"
             )
-        elif any(sign < 0 for sign in self.result.signs):
+        elif self._nearest_is_unstable():
             parts.append(
                 "the Jacobian's determinant is negative on the way: an unstable equilibrium (a limit or bifurcation point) "
                 "is near; follow it with quasistatic.follow, prescribe a displacement, or let it move with dynamics.march"

@@ -494,7 +494,8 @@ class ContactProblem:
         """What resists rigid motions in this state, from the displacements that nodal forces (owned dofs,) lead to
         (collective)."""
         if self.ties is not None:
-            self.ties.measure(response, self._rubbing)
+            pressed = [float(np.sum(pair.j * pair.state.p)) for pair in self.pairs]
+            self.ties.measure(response, self._rubbing, self.comm.allreduce(np.array(pressed)) @ np.array(self._touched))
 
     def _relative(self, motions: Array) -> list[Array]:
         """(n, motions, gdim) velocities of each pair's points relative to what they face that displacements (owned dofs,

@@ -32,7 +32,8 @@ Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 STIFFNESS = 0.1  # of a tie, as a share of what a piece resists a deformation of its own size with
-NEUTRAL = 0.1  # share of a tie below which what resists a motion leaves it free
+NEUTRAL = 0.1  # share of a tie below which what resists a motion leaves it free,
+GEOMETRIC = 3.0  # and of the contact forces over the piece's size, as curved or faceted surfaces resist a slide
 RUBS = (
     0.1  # of a motion, in the mean over the contact forces: what goes along surfaces with friction if it is no rolling
 )
@@ -41,7 +42,7 @@ HELD = 1e-6  # norm over prescribed components of a rigid motion, one in the mea
 SAME = 0.1  # difference of two projections onto motions that count as the same
 WEAK = 1e-6  # share of a tie that springs at the nodes have, which make the sparse Jacobian regular,
 WEAK_TO_MULTIGRID = 1e-3  # where multigrid inverts it
-HISTORY = ("anchor", "resistance", "rubbing", "slipping", "borne")
+HISTORY = ("anchor", "resistance", "neutral", "rubbing", "slipping", "borne")
 
 
 class Bearing(NamedTuple):
@@ -74,6 +75,7 @@ class Ties:
         anchor: (owned dofs,) displacement where the ties bear nothing (m).
         resistance: (pieces, motions, motions) to the rigid motions of each piece in the last equilibrium (N/m), 0 where that
             is not known.
+        neutral: (pieces,) share of a tie below which a resistance leaves a motion free.
         rubbing: (pieces, motions, motions) share of each motion's square that goes along surfaces with friction.
         slipping: (pieces,) which loads push along such surfaces beyond what friction bears: they are not tied along them.
         let_be: (pieces,) which are not tied in this solve.
@@ -93,6 +95,7 @@ class Ties:
         m = 3 * (d - 1)
         self.anchor: Array = bodies.get()
         self.resistance: Array = np.zeros((bodies.pieces, m, m))
+        self.neutral: Array = np.full(bodies.pieces, NEUTRAL)
         self.rubbing: Array = np.zeros_like(self.resistance)
         self.slipping: Flags = np.zeros(bodies.pieces, dtype=bool)
         self.let_be: Flags = np.zeros(bodies.pieces, dtype=bool)
@@ -155,7 +158,7 @@ class Ties:
         if self.slipping[p]:
             resistance = resistance + NEUTRAL * self._k[p] / RUBS**2 * self.rubbing[p]
         share, axes = np.linalg.eigh(basis.T @ (resistance + resistance.T) @ basis / 2)
-        return np.asarray(basis @ axes[:, share < NEUTRAL * self._k[p]])
+        return np.asarray(basis @ axes[:, share < self.neutral[p] * self._k[p]])
 
     def _unheld(self, R: Array, p: int, basis: Array, holding: Callable[[Array], Array]) -> Array:
         """(motions, ·) an orthonormal basis of those of the motions R of a piece, out of a `basis`, that what touches does
@@ -180,10 +183,13 @@ class Ties:
         """(owned dofs, motions) the rigid motions R of a piece, orthonormal over its nodes."""
         return ((self._piece == p)[:, None, None] * R / np.sqrt(self._nodes[p])).reshape(self.anchor.size, -1)
 
-    def measure(self, response: Callable[[Array], Array], rubbing: Callable[[Array], Array]) -> None:
-        """What resists rigid motions, from the displacements that nodal forces (owned dofs,) lead to; and of the squares of
-        motions (owned dofs, motions) the mean of what goes along surfaces with friction, (motions, motions) (collective)."""
+    def measure(self, response: Callable[[Array], Array], rubbing: Callable[[Array], Array], pressed: Array) -> None:
+        """What resists rigid motions, from the displacements that nodal forces (owned dofs,) lead to; of the squares of
+        motions (owned dofs, motions) the mean of what goes along surfaces with friction, (motions, motions); and what is
+        left free where each piece is `pressed` with so much, (pieces,) in N (collective)."""
         R, admissible = self._admissible()
+        geometric = GEOMETRIC * pressed / np.maximum(self._sizes() * self._nodes * self._k, 1e-300)
+        self.neutral = np.where(pressed > 0.0, np.minimum(NEUTRAL, geometric), NEUTRAL)
         for p, basis in zip(self._pieces, admissible, strict=True):
             if not basis.size:
                 continue
@@ -192,13 +198,21 @@ class Ties:
             self.resistance[p] = basis @ np.linalg.pinv(self._bodies.comm.allreduce(flexibility, MPI.SUM)) @ basis.T
             self.rubbing[p] = self._nodes[p] * basis @ rubbing(m) @ basis.T
 
+    def _offsets(self) -> Array:
+        """(owned nodes, gdim) of the nodes from the middle of their piece, at the present positions (m, collective)."""
+        b, d = self._bodies, self._bodies.gdim
+        x = b.owned_positions() + b.get().reshape(-1, d)
+        return np.asarray(x - (b.comm.allreduce(self._by_piece(x), MPI.SUM) / self._nodes[:, None])[self._piece])
+
+    def _sizes(self) -> Array:
+        """(pieces,) distance of a piece's nodes from its middle, root of the mean square (m, collective)."""
+        square = self._by_piece((self._offsets() ** 2).sum(axis=1))
+        return np.asarray(np.sqrt(self._bodies.comm.allreduce(square, MPI.SUM) / self._nodes))
+
     def _rigid_motions(self) -> Array:
         """(owned nodes, gdim, motions) of the piece that each node is of, at the present positions, orthonormal in the mean
         over the piece's nodes (collective)."""
-        b, d = self._bodies, self._bodies.gdim
-        x = b.owned_positions() + b.get().reshape(-1, d)
-        x = x - (b.comm.allreduce(self._by_piece(x), MPI.SUM) / self._nodes[:, None])[self._piece]
-        R = rigid_motions(x)
+        b, R = self._bodies, rigid_motions(self._offsets())
         gram = b.comm.allreduce(self._by_piece(np.swapaxes(R, 1, 2) @ R), MPI.SUM) / self._nodes[:, None, None]
         square, axes = np.linalg.eigh(gram)
         root = np.sqrt(np.maximum(square, 1e-300))
@@ -236,6 +250,10 @@ class Ties:
         rubs = np.einsum("pi,pij,pj->p", borne, self.rubbing, borne) > (RUBS * size) ** 2
         alone = (size > present / 2) & (present > 0)
         return Bearing(borne / most[:, None], size / most, alone, pushed / most, rubs)
+
+    def held(self, borne: Array) -> float:
+        """Share of what ties bore, (pieces,) now, of which they bear less at the next place where something resists."""
+        return float(1.0 / (1.0 + self.neutral[borne > 0.0].min(initial=NEUTRAL)))
 
     def springs(self, *, multigrid: bool) -> Array:
         """(owned nodes, gdim, gdim) stiffness (N/m) of weak springs at the nodes, along the motions: weaker for factors than

@@ -195,16 +195,25 @@ def check_residual(F: Any, u: fem.Function, name: str = "F") -> None:
 
 
 def check_measures(F: ufl.Form, name: str) -> None:
-    """Integrals of one kind must be over measures of the same tags.
+    """Integrals of one kind must be over measures of the same tags, each of which marks something (collective).
 
     Raises:
-        ValueError: if they are not.
+        ValueError: on every rank, if they are not.
     """
     for kind, data in next(iter(F.subdomain_data().values()), {}).items():
         if any(other is not data[0] for other in data):
             raise ValueError(
                 f"{name}: its {kind} integrals have different subdomain_data: write all with measures of the same tags (pass "
                 "dx= to virtual_work and loads)"
+            )
+    comm = F.arguments()[0].ufl_function_space().mesh.comm
+    for integral in F.integrals():
+        tag, tags = integral.subdomain_id(), integral.subdomain_data()
+        marks = isinstance(tags, mesh.MeshTags) and bool(np.any(tags.values == tag))
+        if not isinstance(tag, str) and (tags is None or isinstance(tags, mesh.MeshTags)) and not comm.allreduce(marks):
+            raise ValueError(
+                f"{name}: its {integral.integral_type()} integral is over the tag {tag}, which marks nothing; write it with "
+                "a measure of subdomain_data that have this tag, or leave it out"
             )
 
 

@@ -14,6 +14,7 @@ from mpi4py import MPI
 from scenes import beams, tip
 
 from dolfinx_mortar_al import (
+    Body,
     Checkpoint,
     Contact,
     ContactProblem,
@@ -385,3 +386,24 @@ def test_petsc_options_come_from_the_command_line(monkeypatch):
     solver = NewtonSolver(problem, prefix="other_")
     assert solver.snes.getTolerances()[3] == 80
     assert solver.solve().converged
+
+
+@pytest.mark.parametrize("where", ["material", "load", "plain", "condition"])
+def test_a_tag_that_marks_nothing_is_refused(where):
+    """A misspelt tag would leave a material, a load or a support out without a word."""
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
+    cells = mesh.meshtags(domain, 2, np.arange(1, dtype=np.int32), np.array([3], dtype=np.int32))
+    dx = ufl.Measure("dx", domain, subdomain_data=cells)
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    plain = materials.neo_hookean(1.0, 0.3)
+    w = ufl.TestFunction(u.function_space)
+    build = {
+        "material": lambda: Body(u, plain.virtual_work(u, dx=dx(7))),
+        "load": lambda: Body(u, plain, external=(ufl.as_vector([0.0, 1.0]), dx(7))),
+        "plain": lambda: Body(u, plain, external=w[1] * ufl.ds(7)),
+        "condition": lambda: Body(
+            u, plain, bcs=[fem.dirichletbc(np.zeros(2), np.zeros(0, dtype=np.int32), u.function_space)]
+        ),
+    }
+    with pytest.raises(ValueError, match="no node" if where == "condition" else "the tag 7, which marks nothing"):
+        build[where]()

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from pins import half_pin, pin
 from rolling import Scene, build, middle
 
-from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, obstacles, quasistatic
 from meshes.disc import RIM, Disc
 
 E = 1e6  # Pa
@@ -152,3 +152,53 @@ def test_half_a_pin_ends_in_the_same_state_whichever_side_is_contactor():
         list(quasistatic.march(problem, q, to=0.3 * E, increments=4))
         largest.append(problem.pairs[0].largest_pressure())
     assert largest[1] == pytest.approx(largest[0], rel=0.03)
+
+
+def strip(friction):
+    """A strip of 12 R × .4 R on two rigid discs 6 R apart, a third one above its middle: the problem, the strip's weight
+    (N/m³) and the disc above."""
+    domain = mesh.create_rectangle(
+        MPI.COMM_WORLD, [[-6 * R, 0], [6 * R, 0.4 * R]], [60, 2], mesh.CellType.quadrilateral
+    )
+    sides = [mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (0.0, 0.4 * R)]
+    facets, order = np.concatenate(sides), np.argsort(np.concatenate(sides))
+    tags = mesh.meshtags(domain, 1, facets[order], np.repeat(np.int32([OUTER, INNER]), [len(f) for f in sides])[order])
+    V, force = fem.functionspace(domain, ("Lagrange", 2, (2,))), fem.Constant(domain, np.zeros(2))
+    body = Body(fem.Function(V), materials.neo_hookean(E, 0.3), external=(force, ufl.dx(domain)))
+    discs = [obstacles.RigidSphere([x * R, y * R], R) for x, y in ((-3, -1), (3, -1), (0, 1.4))]
+    sides = (OUTER, OUTER, INNER)
+    contacts = [
+        Contact(Surface(domain, tags, side), disc, friction=friction, name=f"disc {k}")
+        for k, (side, disc) in enumerate(zip(sides, discs, strict=True))
+    ]
+    return ContactProblem(body, contacts=contacts), force, discs[2]
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2])
+@pytest.mark.parametrize("increments", [5, 10])
+def test_a_slender_strip_resists_bending_and_is_not_tied(friction, increments):
+    """Pressed down by 2 R, .33 of its span: bending resists with 1e-3 of the strip's own stiffness. What the discs press
+    with is in balance along the vertical to 1e-4 of what the disc above does, at each step, and no tie has to be told of."""
+    problem, _, head = strip(friction)
+    iterations = 0
+    for step in quasistatic.march(problem, lambda t: head.move([0.0, -2 * R * t]), to=1.0, increments=increments):
+        up = np.array([pair.force()[1] for pair in problem.pairs])
+        assert abs(up.sum()) < 1e-4 * abs(up[2])
+        assert [str(f) for f in step.findings if "slide" in str(f)] == []
+        assert step.rejected == 0
+        iterations += step.iterations
+    assert iterations <= 6 * increments + 20  # the first solve finds where it lies
+
+
+@pytest.mark.parametrize("stiffness", [1e3, 1e6])
+def test_a_strip_lies_on_its_supports_under_its_weight(stiffness):
+    """Of E = 1e3 or 1e6 times its weight over its length: the discs bear its weight to 1e-4 at each step, both alike; the
+    overhanging ends bend the softer one's middle up against the disc above."""
+    heavy = 12 * R * 0.4 * R
+    problem, force, _ = strip(0.2)
+    load = E / stiffness / (12 * R)
+    for step in quasistatic.march(problem, force, to=(0.0, -load), increments=4):
+        up = np.array([pair.force()[1] for pair in problem.pairs]) / (heavy * load * step.load)
+        assert up.sum() == pytest.approx(1.0, rel=1e-4)
+        assert up[0] == pytest.approx(up[1], rel=1e-3)
+        assert step.rejected == 0
