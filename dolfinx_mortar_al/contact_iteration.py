@@ -33,7 +33,7 @@ __all__ = ["ContactIteration"]
 ENOUGH = 0.01  # of the residual that Newton's step started from: the bulk's nonlinearity leaves as much
 CHORD = 0.2  # of the residual: steps with an old derivative go on while each leaves less
 SOLVES = 8  # at most in one of them
-ENDS = 0.01  # of the tolerance: they converge linearly, and Newton's own last step leaves as little
+ENDS = 0.01  # of the tolerance: once begun they go on to it, as they converge linearly and Newton's last step does not
 LINEAR = 0.1  # relative tolerance of GMRES: with 0.01 a fifth less steps for a fifth more solves
 
 
@@ -156,7 +156,9 @@ class ContactIteration:
         """Steps from z with the bulk's derivative at x, and without `bulk` contact's as well while it is as it was there, as
         long as each leaves a share CHORD of the residual or less; whether any was taken. One that leaves more is undone."""
         size, taken = self._follow(), False
-        while ENDS < size < CHORD * start and (bulk is not None or self.problem.contact_pattern() == self._before):
+        while (ENDS if taken else 1.0) < size < CHORD * start and (
+            bulk is not None or self.problem.contact_pattern() == self._before
+        ):
             self._keep()
             self._solve(bulk, SOLVES)
             self._advance()

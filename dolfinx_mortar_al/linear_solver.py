@@ -30,7 +30,6 @@ RTOL = 1e-4  # of FGMRES: Newton takes no more iterations than with factors (doc
 MOST = (
     200  # iterations of FGMRES before it counts as failed, good states take up to 30; solves of a Newton step's contact
 )
-SET_UP = 15  # iterations that cost as much as to set multigrid up anew
 RESTART = 60
 WORKSPACE, TOO_LITTLE_WORKSPACE = 100, (-8, -9)  # % that MUMPS gets beside its estimate; its codes for "not enough"
 TOO_LARGE = (-13, -19)  # MUMPS' codes where memory does not suffice
@@ -108,7 +107,6 @@ class LinearSolver:
         ksp.setPostSolve(self._after)
         self._direct: PETSc.KSP | None = None
         self._failure: str | None = None
-        self._fresh: int | None = None  # iterations of the first solve with this multigrid
 
     def _mumps_defaults(self) -> dict[str, Option]:
         """The blocks are scaled already (8: 0); minimum fill is the quickest analysis of plane problems (7: 2). 33: 1 gives
@@ -144,18 +142,14 @@ class LinearSolver:
     def begin(self) -> None:
         """A new Newton solve: multigrid's coarse spaces are chosen anew, and FGMRES is tried again, where it had failed."""
         if self.iterative:
-            self._fresh, self._blocks.stale = None, True
+            self._blocks.stale = True
         if self.iterative and self._failure is not None:
             self._failure, self._blocks.idle = None, False
             self._ksp.setTolerances(max_it=MOST)
 
     def _after(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """After FGMRES: where it has failed MUMPS takes over, for the rest of the Newton solve."""
-        taken = ksp.getIterationNumber()
-        self.iterations, self.solves = self.iterations + taken, self.solves + 1
-        self._fresh = taken if self._fresh is None else self._fresh
-        if taken > self._fresh + SET_UP:
-            self._fresh, self._blocks.stale = None, True
+        self.iterations, self.solves = self.iterations + ksp.getIterationNumber(), self.solves + 1
         if ksp.getConvergedReason() >= 0:
             return
         if self._failure is None:
