@@ -21,10 +21,10 @@ import gmsh
 import numpy as np
 import ufl
 from dolfinx import fem
-from dolfinx.io import gmshio
 from mpi4py import MPI
 
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, loads, materials, quasistatic
+from dolfinx_mortar_al.versions import model_to_mesh
 
 BODY, LOWER, UPPER, ROUND, LOW, TOP, BASE, HEAD, BORE = 1, 2, 3, 11, 12, 13, 14, 15, 16
 
@@ -163,7 +163,7 @@ def run(scene: Scene, μ: float, projection: str, anchored: bool) -> str:
     gmsh.initialize()
     gmsh.option.setNumber("General.Verbosity", 1)
     shape(scene)
-    domain, cells, facets = gmshio.model_to_mesh(gmsh.model, MPI.COMM_WORLD, 0, gdim=scene.dim)[:3]
+    domain, cells, facets = model_to_mesh(gmsh.model, MPI.COMM_WORLD, scene.dim)
     gmsh.finalize()
     d, E = scene.dim, 5e6 * (1.0 if scene.unit == 1.0 else 1e-6)
     V = fem.functionspace(domain, ("Lagrange", scene.order, (d,)))

@@ -39,6 +39,7 @@ NEARLY = 0.05  # error of frozen bounds, as a share of the largest μp, below wh
 BOUND_TOLERANCE = 1e-6  # on a frozen friction bound, as a share of the largest μp
 WANDERS_AFTER = 8  # iterations without progress after which friction bounds are frozen,
 SETTLED = 3  # if in so many of them, the last, no point has opened or closed
+HELD = 0.9  # share of what a tie bore, of which it bears less at the next place where something resists the slide
 PUSHED = 0.01  # of the contact forces: what loads push with must be resisted by more than a tie
 PUSHED_ALONG = 1e-3  # the same along surfaces with friction: a tie is not to bear what friction does not
 SLIDES = 0.1  # of the contact forces: what is left of a coarse mesh's pressures along a slide is less
@@ -317,16 +318,15 @@ class NewtonSolver:
             return False
         bear, before = p.ties_bear(), self._borne
         now = float(bear.borne.max())
-        held = ties.held(bear.borne)
         # what ties bear, as a multiple of what they bore at the last place
         left = np.nan if before is None else float(np.sum(bear.along * before) / np.sum(before**2))
-        if now <= self.rtol or (left > held and np.all(bear.borne <= self._bearable(bear))):
+        if now <= self.rtol or (left > HELD and np.all(bear.borne <= self._bearable(bear))):
             ties.borne = bear.borne
             return False
         if before is None:
             on = 0.0
         elif (
-            left < held
+            left < HELD
         ):  # resisted: so far that nothing is left, had it gone on like that; back if it has gone too far
             on = (self._stride + 1.0) / (1.0 - left) - 1.0
         else:  # not yet: twice as far each time

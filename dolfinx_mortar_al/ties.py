@@ -32,8 +32,9 @@ Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 STIFFNESS = 0.1  # of a tie, as a share of what a piece resists a deformation of its own size with
-NEUTRAL = 0.1  # share of a tie below which what resists a motion leaves it free,
-GEOMETRIC = 3.0  # and of the contact forces over the piece's size, as curved or faceted surfaces resist a slide
+NEUTRAL = 0.1  # share of a tie below which what resists a motion leaves it free
+DEFORMS = 0.1  # of a motion, root mean square: where bodies deform by more, their stiffness resists,
+GEOMETRIC = 3.0  # unless it is less than so many times the contact forces over the piece's size, as flat zones resist
 RUBS = (
     0.1  # of a motion, in the mean over the contact forces: what goes along surfaces with friction if it is no rolling
 )
@@ -42,7 +43,7 @@ HELD = 1e-6  # norm over prescribed components of a rigid motion, one in the mea
 SAME = 0.1  # difference of two projections onto motions that count as the same
 WEAK = 1e-6  # share of a tie that springs at the nodes have, which make the sparse Jacobian regular,
 WEAK_TO_MULTIGRID = 1e-3  # where multigrid inverts it
-HISTORY = ("anchor", "resistance", "neutral", "rubbing", "slipping", "borne")
+HISTORY = ("anchor", "resistance", "rubbing", "slipping", "borne")
 
 
 class Bearing(NamedTuple):
@@ -73,9 +74,8 @@ class Ties:
 
     Attributes:
         anchor: (owned dofs,) displacement where the ties bear nothing (m).
-        resistance: (pieces, motions, motions) to the rigid motions of each piece in the last equilibrium (N/m), 0 where that
-            is not known.
-        neutral: (pieces,) share of a tie below which a resistance leaves a motion free.
+        resistance: (pieces, motions, motions) to the rigid motions of each piece in the last equilibrium (N/m), at least a
+            tie's where it is a stiffness that resists; 0 where that is not known.
         rubbing: (pieces, motions, motions) share of each motion's square that goes along surfaces with friction.
         slipping: (pieces,) which loads push along such surfaces beyond what friction bears: they are not tied along them.
         let_be: (pieces,) which are not tied in this solve.
@@ -95,7 +95,6 @@ class Ties:
         m = 3 * (d - 1)
         self.anchor: Array = bodies.get()
         self.resistance: Array = np.zeros((bodies.pieces, m, m))
-        self.neutral: Array = np.full(bodies.pieces, NEUTRAL)
         self.rubbing: Array = np.zeros_like(self.resistance)
         self.slipping: Flags = np.zeros(bodies.pieces, dtype=bool)
         self.let_be: Flags = np.zeros(bodies.pieces, dtype=bool)
@@ -158,7 +157,7 @@ class Ties:
         if self.slipping[p]:
             resistance = resistance + NEUTRAL * self._k[p] / RUBS**2 * self.rubbing[p]
         share, axes = np.linalg.eigh(basis.T @ (resistance + resistance.T) @ basis / 2)
-        return np.asarray(basis @ axes[:, share < self.neutral[p] * self._k[p]])
+        return np.asarray(basis @ axes[:, share < NEUTRAL * self._k[p]])
 
     def _unheld(self, R: Array, p: int, basis: Array, holding: Callable[[Array], Array]) -> Array:
         """(motions, ·) an orthonormal basis of those of the motions R of a piece, out of a `basis`, that what touches does
@@ -184,19 +183,32 @@ class Ties:
         return ((self._piece == p)[:, None, None] * R / np.sqrt(self._nodes[p])).reshape(self.anchor.size, -1)
 
     def measure(self, response: Callable[[Array], Array], rubbing: Callable[[Array], Array], pressed: Array) -> None:
-        """What resists rigid motions, from the displacements that nodal forces (owned dofs,) lead to; of the squares of
-        motions (owned dofs, motions) the mean of what goes along surfaces with friction, (motions, motions); and what is
-        left free where each piece is `pressed` with so much, (pieces,) in N (collective)."""
+        """What resists rigid motions, from the displacements that nodal forces (owned dofs,) lead to, where each piece is
+        `pressed` with so much, (pieces,) in N; and of the squares of motions (owned dofs, motions) the mean of what goes
+        along surfaces with friction, (motions, motions) (collective)."""
         R, admissible = self._admissible()
-        geometric = GEOMETRIC * pressed / np.maximum(self._sizes() * self._nodes * self._k, 1e-300)
-        self.neutral = np.where(pressed > 0.0, np.minimum(NEUTRAL, geometric), NEUTRAL)
+        geometric = GEOMETRIC * pressed / np.maximum(self._sizes() * self._nodes, 1e-300)
         for p, basis in zip(self._pieces, admissible, strict=True):
             if not basis.size:
                 continue
             m = self._of(p, R) @ basis
-            flexibility = m.T @ np.stack([response(column) for column in m.T], axis=1)
-            self.resistance[p] = basis @ np.linalg.pinv(self._bodies.comm.allreduce(flexibility, MPI.SUM)) @ basis.T
+            u = np.stack([response(column) for column in m.T], axis=1)
+            resistance = np.linalg.pinv(self._bodies.comm.allreduce(m.T @ u, MPI.SUM))
+            resists, axes = np.linalg.eigh((resistance + resistance.T) / 2)
+            deformation = self._nodes[p] * np.diag(axes.T @ resistance.T @ self._deformation(R, u) @ resistance @ axes)
+            stiff = (deformation > DEFORMS**2) & (resists > geometric[p])
+            resists[stiff] = np.maximum(resists[stiff], self._k[p])
+            self.resistance[p] = basis @ (axes * resists) @ axes.T @ basis.T
             self.rubbing[p] = self._nodes[p] * basis @ rubbing(m) @ basis.T
+
+    def _deformation(self, R: Array, u: Array) -> Array:
+        """(n, n) mean square over a piece's nodes, and sum over the pieces, of what displacements u (owned dofs, n) are
+        beside the rigid motions R (collective)."""
+        u = u.reshape(len(self._piece), -1, u.shape[1])
+        mean = self._by_piece(np.swapaxes(R, 1, 2) @ u) / self._nodes[:, None, None]
+        u = u - R @ self._bodies.comm.allreduce(mean, MPI.SUM)[self._piece]
+        square = self._by_piece(np.swapaxes(u, 1, 2) @ u) / self._nodes[:, None, None]
+        return np.asarray(self._bodies.comm.allreduce(square.sum(axis=0), MPI.SUM))
 
     def _offsets(self) -> Array:
         """(owned nodes, gdim) of the nodes from the middle of their piece, at the present positions (m, collective)."""
@@ -250,10 +262,6 @@ class Ties:
         rubs = np.einsum("pi,pij,pj->p", borne, self.rubbing, borne) > (RUBS * size) ** 2
         alone = (size > present / 2) & (present > 0)
         return Bearing(borne / most[:, None], size / most, alone, pushed / most, rubs)
-
-    def held(self, borne: Array) -> float:
-        """Share of what ties bore, (pieces,) now, of which they bear less at the next place where something resists."""
-        return float(1.0 / (1.0 + self.neutral[borne > 0.0].min(initial=NEUTRAL)))
 
     def springs(self, *, multigrid: bool) -> Array:
         """(owned nodes, gdim, gdim) stiffness (N/m) of weak springs at the nodes, along the motions: weaker for factors than
