@@ -16,6 +16,7 @@ import basix
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
+from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.versions import geometry_degree, geometry_nodes
@@ -209,8 +210,9 @@ def check_measures(F: ufl.Form, name: str) -> None:
     comm = F.arguments()[0].ufl_function_space().mesh.comm
     for integral in F.integrals():
         tag, tags = integral.subdomain_id(), integral.subdomain_data()
-        marks = isinstance(tags, mesh.MeshTags) and bool(np.any(tags.values == tag))
-        if not isinstance(tag, str) and (tags is None or isinstance(tags, mesh.MeshTags)) and not comm.allreduce(marks):
+        if isinstance(tag, str) or not (tags is None or isinstance(tags, mesh.MeshTags)):
+            continue  # everywhere, or where lists of entities say
+        if not comm.allreduce(tags is not None and bool(np.isin(tags.values, tag).any()), MPI.LOR):
             raise ValueError(
                 f"{name}: its {integral.integral_type()} integral is over the tag {tag}, which marks nothing; write it with "
                 "a measure of subdomain_data that have this tag, or leave it out"

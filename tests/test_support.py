@@ -19,6 +19,7 @@ from dolfinx_mortar_al import (
     output,
     quasistatic,
 )
+from dolfinx_mortar_al.newton import NewtonResult
 from exact.balloon import Balloon
 from meshes.two_beams import UPPER, TwoBeams
 
@@ -204,6 +205,14 @@ def test_the_unstable_branch_of_a_balloon_is_named():
     below = [said for stretch, said in unstable.items() if stretch < limit - 0.1]
     beyond = [said for stretch, said in unstable.items() if stretch > limit + 0.1]
     assert not any(below) and len(beyond) > 0 and all(beyond)
+
+
+@pytest.mark.parametrize(("signs", "said"), [([1.0, -1.0, 1.0], True), ([-1.0, 1.0, -1.0], False), ([], False)])
+def test_an_unstable_equilibrium_is_named_where_newton_came_nearest(signs, said):
+    """Of three iterates the second has the least residual; what the determinant is at wild ones says nothing."""
+    solver = NewtonSolver(octant()[0])
+    solver.result = NewtonResult(norms=[(1e6, 1e5), (1e2, 1e3), (1e6, 1e6)], signs=signs)
+    assert ("unstable equilibrium" in solver._advice()) == said
 
 
 class _nothing:
