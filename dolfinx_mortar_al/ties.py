@@ -224,7 +224,9 @@ class Ties:
     def _rigid_motions(self) -> Array:
         """(owned nodes, gdim, motions) of the piece that each node is of, at the present positions, orthonormal in the mean
         over the piece's nodes (collective)."""
-        b, R = self._bodies, rigid_motions(self._offsets())
+        b = self._bodies
+        # rotations about as large as translations, whatever the unit of length, for the eigenvalues to be told from round-off
+        R = rigid_motions(self._offsets() / np.maximum(self._sizes(), 1e-300)[self._piece][:, None])
         gram = b.comm.allreduce(self._by_piece(np.swapaxes(R, 1, 2) @ R), MPI.SUM) / self._nodes[:, None, None]
         square, axes = np.linalg.eigh(gram)
         root = np.sqrt(np.maximum(square, 1e-300))
