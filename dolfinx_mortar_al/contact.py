@@ -76,7 +76,8 @@ class Contact:
             bodies, or "gauss", the default, the same points on each facet.
         quadrature_degree: of the Gauss points on each facet, at least twice the multiplier's order; default 4 × the
             displacement's order (on a curved membrane in the plane 6 × order + 1), more where the target's facets are
-            finer. With segments of the points on each segment; default exact on flat facets.
+            finer, and in space on surfaces of few facets. With segments of the points on each segment; default exact on
+            flat facets.
         thickness: out of the plane (m), for two-dimensional bodies; the same as in the bulk's forms. Left out, that of the
             :class:`~dolfinx_mortar_al.body.Body` of the surfaces, or 1 with residuals of one's own.
         name: for messages and files; default "contact", with a number where there are several.
@@ -172,7 +173,7 @@ class ContactPair(PairResults):
         contactor = self.facets.gather()
         self.target = self._make_target(bodies, contactor.size_of_facets)
         #: Gauss points: all there is without segments, and with them where λ̂_N is kept from step to step
-        self.gauss = self._points()
+        self.gauss = self._points(contactor)
         self.integration = self.gauss
         self.area = float(self.comm.allreduce(float(self.j.sum())))
         self._check_apart(contactor)
@@ -212,8 +213,8 @@ class ContactPair(PairResults):
         """(nf, nodes, gdim) values of the contactor's body at its facets' nodes; ghosts are up to date."""
         return np.asarray(u.x.array.reshape(-1, self.gdim)[self.facets.dofs])
 
-    def _points(self) -> IntegrationPoints:
-        """The Gauss points."""
+    def _points(self, contactor: GatheredFacets) -> IntegrationPoints:
+        """The Gauss points on this rank's part of the contactor."""
         contact, order = self.contact, self.facets.shape.order
         if contact.multiplier_order not in (1, order):
             raise ValueError(
@@ -231,7 +232,7 @@ class ContactPair(PairResults):
             return IntegrationPoints.gauss(self.facets, np.full(count, degree), self.thickness)
         degree = default_degree(self.facets, contact.contactor.is_membrane)
         points = IntegrationPoints.gauss(self.facets, np.full(count, degree), self.thickness)
-        degrees = degrees_on(self.facets, degree, self._faced_extents(points))
+        degrees = degrees_on(self.facets, degree, self._faced_extents(points), contactor)
         return points if (degrees == degree).all() else IntegrationPoints.gauss(self.facets, degrees, self.thickness)
 
     def _faced_extents(self, points: IntegrationPoints) -> Array:

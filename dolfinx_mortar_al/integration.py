@@ -13,7 +13,7 @@ import numpy as np
 from basix import CellType
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.surface import Facets, ShapeFunctions, surface_normal
+from dolfinx_mortar_al.surface import Facets, GatheredFacets, ShapeFunctions, surface_normal
 
 __all__ = ["IntegrationPoints", "default_degree", "degrees_on", "segment_degree"]
 
@@ -26,6 +26,9 @@ PER_ORDER = 4
 # a membrane has no bending stiffness: its pressure jumps at the edge of contact, inside a facet (docs/membranes.md)
 PER_ORDER_ON_CURVES = 6
 PER_TARGET_FACET = 2.0  # points along each target facet's length: none is passed over
+# points across a surface in space: where a few facets are all of it contact is a part of one (docs/integration.md)
+ACROSS = 32
+UNFELT = 0.02  # of a facet: overlaps that are said (`unfelt.py`)
 HIGHEST = 30
 ROUND_OFF = 1e-6  # of a number of points: facets that are alike but for it get as many
 
@@ -36,12 +39,31 @@ def default_degree(facets: Facets, is_membrane: bool) -> int:
     return PER_ORDER_ON_CURVES * order + 1 if is_membrane and facets.shape.dim == 1 else PER_ORDER * order
 
 
-def degrees_on(facets: Facets, degree: int, faced: Array) -> Index:
-    """(nf,) the degree on each facet that gives PER_TARGET_FACET points on each of the target's facets, whose extents are
-    `faced` (nf,) in metres: `degree` or more."""
-    ratio = facets.areas() ** (1.0 / facets.shape.dim) / faced
-    points = np.ceil(PER_TARGET_FACET * ratio - ROUND_OFF).astype(np.int64)
-    return np.clip(2 * points - 1, degree, HIGHEST)
+def degrees_on(facets: Facets, degree: int, faced: Array, surface: GatheredFacets) -> Index:
+    """(nf,) the degree on each facet of the contactor `surface`, `degree` or more: with PER_TARGET_FACET points on each of
+    the target's facets, whose extents are `faced` (nf,) in metres; in space with ACROSS points across the surface, too, and
+    with one near each corner that a plane may touch first."""
+    dim, size = facets.shape.dim, facets.areas() ** (1.0 / facets.shape.dim)
+    points = PER_TARGET_FACET * size / faced
+    if dim == 2:
+        points = np.maximum(points, ACROSS * size / np.sqrt(surface.areas().sum()))
+    degrees = np.clip(2 * np.ceil(points - ROUND_OFF).astype(np.int64) - 1, degree, HIGHEST)
+    return _degrees_at_corners(facets, degrees, surface) if dim == 2 else degrees
+
+
+def _degrees_at_corners(facets: Facets, degrees: Index, surface: GatheredFacets) -> Index:
+    """(nf,) the `degrees` (nf,) or more, with which a plane across the mean normal at a corner meets a point of the facet
+    before the corner has dipped into it by UNFELT facets."""
+    degrees, shape, most = degrees.copy(), facets.shape, UNFELT * np.sqrt(facets.areas())
+    normal = surface.normals_at_corners[surface.places_of(facets)]
+    corner = shape.tabulate(shape.corners)[0] @ facets.X
+    for degree in range(int(degrees.min(initial=HIGHEST)), HIGHEST):
+        rows = np.flatnonzero(degrees == degree)
+        x = shape.tabulate(shape.quadrature(degree)[0])[0] @ facets.X[rows]
+        apart = corner[rows][:, :, None] - x[:, None]  # (rows, corners, points, gdim)
+        felt = (apart @ normal[rows][..., None])[..., 0].min(axis=2)
+        degrees[rows[(felt > most[rows, None]).any(axis=1)]] += 1
+    return degrees
 
 
 def segment_degree(contactor: ShapeFunctions, target: ShapeFunctions, multiplier_order: int) -> int:

@@ -346,6 +346,15 @@ class GatheredFacets:
         )
 
     @cached_property
+    def normals_at_corners(self) -> Array:
+        """(nf, corners, gdim) the mean unit normal of the facets that meet at each corner, in the reference configuration."""
+        tangents = self.shape.tabulate(self.shape.corners, 1)[1] @ self.X[self.facets][:, None]
+        normal = surface_normal(tangents) * self.orientation[:, None, None]
+        corners, mean = self.facets[:, : len(self.shape.corners)], np.zeros_like(self.X)
+        np.add.at(mean, corners, normal / np.linalg.norm(normal, axis=2, keepdims=True))
+        return np.asarray(mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300))[corners]
+
+    @cached_property
     def size_of_facets(self) -> float:
         """Largest diameter of a facet in the reference configuration (m)."""
         X = self.X[self.facets]

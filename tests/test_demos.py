@@ -169,14 +169,15 @@ def test_tutorial_ends_in_sliding(monkeypatch, shared_path):
 
 
 def test_press_and_drag_slides_by_coulombs_law_and_goes_on_from_a_checkpoint(monkeypatch, shared_path):
-    """At the end the zone slips, but for a point or two (seen 0.5 % of the dome): the drag is μ = 0.3 times the normal force,
-    but for the zone's slope, seen 1 %. The dome that is pressed has no drag but from meshes that are not symmetric."""
-    arguments = ["--size", "600", "--increments", "1", "2", "--no-figure", "--checkpoint", "--output", str(shared_path)]
+    """At the end the zone slips, but for a point or two: the drag is μ = 0.3 times the normal force, but for the zone's slope
+    (seen 0.3 %; 3 % with 600 unknowns). The dome that is pressed has no drag but from meshes that are not symmetric."""
+    arguments = ["--size", "2000", "--increments", "1", "2", "--no-figure", "--checkpoint"]
+    arguments += ["--output", str(shared_path)]
     monkeypatch.setattr(sys, "argv", ["press_and_drag.py", *arguments])
     first = press_and_drag.simulate(press_and_drag.options(), shared_path)
     assert first.column("stick")[-1] < 0.02
     drag, force = first.column("drag"), first.column("normal_force")
-    assert drag[-1] == pytest.approx(0.3 * force[-1], rel=0.03)
+    assert drag[-1] == pytest.approx(0.3 * force[-1], rel=0.01)
     assert drag[0] < 0.05 * force[0]
     again = press_and_drag.simulate(press_and_drag.options(), shared_path)
     assert again.column("stage").tolist() == first.column("stage").tolist()

@@ -1,10 +1,12 @@
-"""How many Gauss points a facet has: as many as the target's facets that it faces ask for."""
+"""How many Gauss points a facet has: what the target's facets that it faces ask for, its surface and its corners."""
 
 import numpy as np
 import pytest
 from dolfinx import fem
+from dolfinx.mesh import CellType, create_box, exterior_facet_indices, locate_entities_boundary, meshtags
+from mpi4py import MPI
 
-from dolfinx_mortar_al import ContactProblem, Surface
+from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, obstacles
 from dolfinx_mortar_al.verify.meshes import build, graded, half_space
 from dolfinx_mortar_al.verify.model import elastic_work, hold, make_contact, measures, space
 
@@ -50,3 +52,52 @@ def test_a_graded_contactor_has_no_more_points_where_it_is_fine():
     x = graded(1.0, 16, 8.0)
     ends, count, _ = points_on(x, x, 2)
     assert (count[ends[:, 1] <= 1.0 + 1e-9] == 5).all()
+
+
+def on_a_plane(n, order, cell, place=lambda x: x, whole=True):
+    """The pair of a cube [−1, 1]³ of n³ cells, its nodes moved by `place`, whose whole boundary, or bottom alone, is in
+    contact with a rigid plane."""
+    domain = create_box(MPI.COMM_WORLD, [[-1.0] * 3, [1.0] * 3], [n] * 3, cell)
+    bottom = locate_entities_boundary(domain, 2, lambda x: np.isclose(x[2], -1.0))
+    domain.topology.create_connectivity(2, 3)
+    facets = exterior_facet_indices(domain.topology) if whole else bottom
+    domain.geometry.x[:] = place(domain.geometry.x)
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", order, (3,))))
+    F = materials.saint_venant_kirchhoff(1.0, 0.3).virtual_work(u)
+    surface = Surface(domain, meshtags(domain, 2, np.sort(facets), np.ones(len(facets), dtype=np.int32)), 1)
+    plane = obstacles.RigidPlane([0.0, 0.0, -2.0], [0.0, 0.0, 1.0])
+    return ContactProblem(F, u, contacts=[Contact(surface, plane)]).pairs[0]
+
+
+def ball(x):
+    return x * (np.abs(x).max(axis=1) / np.maximum(np.linalg.norm(x, axis=1), 1e-300))[:, None]
+
+
+@pytest.mark.parametrize("cell", [CellType.tetrahedron, CellType.hexahedron])
+@pytest.mark.parametrize("order, n", [(1, 1), (1, 3), (1, 5), (2, 2)])
+def test_a_corner_of_a_coarse_ball_is_felt_before_it_is_in_a_plane(cell, order, n):
+    """By 2 % of a facet, which is said to be an overlap; the normal of the plane is the ball's. With the degree 4 × order
+    it would be 4 (n = 2, order 2, hexahedra) to 22 % (n = 1, tetrahedra)."""
+    pair = on_a_plane(n, order, cell, ball)
+    facets, points = pair.facets, pair.integration
+    corners = facets.X[:, : len(facets.shape.corners)]
+    normal = corners / np.linalg.norm(corners, axis=2, keepdims=True)
+    apart = corners[points.facet] - points.interpolate(facets.X)[:, None]
+    depth = np.einsum("nci,nci->nc", apart, normal[points.facet]) / np.sqrt(facets.areas())[points.facet, None]
+    felt = np.full(corners.shape[:2], np.inf)
+    np.minimum.at(felt, points.facet, depth)
+    assert felt.max(initial=0.0) < 0.0225  # mean normals are not quite the ball's
+    total = pair.comm.allreduce(float(pair.j.sum()))
+    assert total == pytest.approx(pair.comm.allreduce(float(facets.areas().sum())), rel=1e-5)  # curved ones
+
+
+@pytest.mark.parametrize("cell", [CellType.tetrahedron, CellType.hexahedron])
+def test_a_surface_of_few_facets_has_many_points_and_one_of_many_the_least(cell):
+    def points(n):
+        pair = on_a_plane(n, 1, cell, whole=False)
+        size = pair.comm.allreduce(pair.integration.size)
+        return size, size / pair.comm.allreduce(pair.facets.size)
+
+    least = {CellType.tetrahedron: 6, CellType.hexahedron: 9}[cell]
+    assert points(2)[0] >= 0.8 * 32**2  # on triangles a rule has fewer than on squares
+    assert points(16)[1] == least

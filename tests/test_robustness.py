@@ -12,8 +12,9 @@ from robustness import BALANCE, DEEPEST, UNFELT, march
 from robustness_scenes import FAMILIES, draw
 
 #: seed, number: quick ones; E of the upper body to the lower's from 1/130 (punch 11/0) to 640 (die), μ from 0 to 0.99 (half
-#: ring), up to 3.8 facets of sliding per increment; in four the lower body is the contactor
-SCENES = [(11, k) for k in (0, 1, 2, 3, 6, 11, 18, 26, 30, 38)] + [(21, 31), (22, 65)]
+#: ring), up to 3.8 facets of sliding per increment; in four the lower body is the contactor; the
+#: last two, a ball and a dome of four facets, overlap unfelt or stand on one point with 6 and 25 points on a facet
+SCENES = [(11, k) for k in (0, 1, 2, 3, 6, 11, 18, 26, 30, 38)] + [(21, 31), (22, 65), (12011, 9), (12003, 10)]
 
 
 @pytest.fixture(scope="module")

@@ -88,7 +88,7 @@ def test_a_large_increment_keeps_the_end(kind, simplices, cells, swap, increment
     known = pressure_error(squeezed_shells(kind, simplices, cells, swap)[0])
     assert rejected == 0
     assert pressure_error(problem) == pytest.approx(known, rel=1e-4)  # both within 1e-9 of equilibrium
-    assert known[1] < 0.05  # the misfit of coarse curved surfaces
+    assert known[0] < 0.05  # the misfit of coarse curved surfaces; of the third one .14 % face nothing
 
 
 @pytest.mark.parametrize("swap", [False, True], ids=["block", "slab"])
