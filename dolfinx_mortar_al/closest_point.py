@@ -140,10 +140,13 @@ def project(target: GatheredFacets, positions: Array, x: Array, candidates: Inde
     return at
 
 
-def penetrates(target: GatheredFacets, positions: Array, x: Array, candidates: Index) -> NDArray[np.bool_]:
-    """(n,) whether 𝐱 lies behind a closest point that is not at an end of the target; arguments as of :func:`project`."""
+def penetrates(
+    target: GatheredFacets, positions: Array, x: Array, candidates: Index, depth: Array
+) -> NDArray[np.bool_]:
+    """(n,) whether 𝐱 lies by `depth` (n,) in m or more behind a closest point that is not at an end of the target; the other
+    arguments as of :func:`project`."""
     at = _located(target, positions, x, candidates)
-    return np.asarray(at.facing & (at.g > 0))
+    return np.asarray(at.facing & (at.g > 0) & (at.g >= depth))
 
 
 def _located(target: GatheredFacets, positions: Array, x: Array, candidates: Index) -> ClosestPoint:

@@ -618,8 +618,8 @@ class ContactPair(PairResults):
         return self.kinematics
 
     def unfelt(self) -> list[Finding]:
-        """In statics, what contact has not felt: surfaces that a step has carried through each other, and overlaps between
-        the integration points (collective)."""
+        """In statics, what contact has not felt, or hardly: surfaces that a step has carried through each other, overlaps
+        between the integration points, and in contact (collective)."""
         if isinstance(self.kinematics, StepLevel):
             return []
         if self._unfelt is None:
@@ -627,7 +627,9 @@ class ContactPair(PairResults):
             surface = c.target if isinstance(c.target, Surface) else None
             self._unfelt = Unfelt(c.contactor, self.facets, self.target, surface, self._bodies, self.name)
         k, closed = self.kinematics, self.state.status != OPEN
-        return self._unfelt.look(self.integration, k.contactor(), k.at, closed, self._converged)
+        found = self._unfelt.look(self.integration, k.contactor(), k.at, closed, self._converged)
+        hardly = self.overlap_in_contact()
+        return found if hardly is None else [*found, hardly]
 
     def was_in_contact(self) -> bool:
         """Whether a facet of this rank was in contact in the last converged state."""

@@ -28,14 +28,15 @@ Bool = NDArray[np.bool_]
 ROUND_OFF = 1e-12  # of a facet: a side that hangs on less is not known
 
 
-def is_behind(target: GatheredFacets, positions: Array, x: Array, candidates: Index) -> tuple[Bool, Bool]:
-    """(n,) whether 𝐱 (n, gdim) lies in the target as closest points say, behind one that is not at an end of it; and (n,)
-    whether that is known: 𝐱 lies on the same side of all facets that may hold its closest point.
+def is_behind(target: GatheredFacets, positions: Array, x: Array, candidates: Index, depth: Array) -> tuple[Bool, Bool]:
+    """(n,) whether 𝐱 (n, gdim) lies in the target as closest points say, by `depth` or more behind one that is not at an end
+    of it; and (n,) whether that is known: 𝐱 lies on the same side of all facets that may hold its closest point.
 
     Args:
         target: the surface.
         positions: (nodes, gdim) current positions of its nodes (m).
         candidates: (n, k) facets that may hold the closest point, padded with −1.
+        depth: (n,) in m.
     """
     centre, normal, low, high, radius, cosine = _bounds(target, positions)
     row, column = where(candidates >= 0)
@@ -48,7 +49,8 @@ def is_behind(target: GatheredFacets, positions: Array, x: Array, candidates: In
     front: Bool = np.zeros(candidates.shape, dtype=bool)
     behind: Bool = np.zeros(candidates.shape, dtype=bool)
     front[row, column] = (along - high[facet]) * cos > least
-    behind[row, column] = ((low[facet] - along) * cos > least) & ~np.any(target.boundary_sides, axis=1)[facet]
+    below = low[facet] - along
+    behind[row, column] = (below * cos > least) & (below >= depth[row]) & ~np.any(target.boundary_sides, axis=1)[facet]
     none = candidates < 0
     inside: Bool = np.all(behind | none, axis=1)
     return inside, inside | np.all(front | none, axis=1)

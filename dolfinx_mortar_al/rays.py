@@ -28,7 +28,9 @@ Index = NDArray[np.int64]
 ALMOST = 1.5e-8  # step in η after which Newton, which squares it, leaves round-off
 EDGE = 1e-9  # how far beyond a facet's sides, in η, a hit still counts: no ray slips through between two facets
 FACING = 0.1  # least cosine between ray and target's normal: flatter hits have no sensible gap
-DEEP = 0.5  # penetration, in facets, beyond which a hit behind the contactor must be confirmed by the closest point
+# penetration, in facets, beyond which the closest point must confirm a hit behind the contactor: 𝐱 is in the target, and as
+# deep as a flat one would be that the ray meets as slantingly as FACING lets it
+DEEP = 0.5
 BEYOND = 1.0  # how far beyond the sides of a facet at the target's end, in η, it may go on while a solve is on its way
 MAX_ITERATIONS = 12  # of Newton for the hit on a curved facet; five do, unless the ray all but touches the facet
 
@@ -73,7 +75,7 @@ def cast(
     limit = DEEP * target.size_of_facets
     deep = nearest[d[nearest] < -limit] if depth is None else nearest[:0]
     if len(deep):
-        outside = row[deep][~_is_inside(target, positions, x[row[deep]])]
+        outside = row[deep][~_is_inside(target, positions, x[row[deep]], FACING * -d[deep])]
         real = ~(np.isin(row, outside) & (d < 0))
         row, facet, η, d = row[real], facet[real], η[real], d[real]
         nearest = _first_of_each(row, np.abs(d))
@@ -233,12 +235,12 @@ def _first_of_each(row: Index, key: Array) -> Index:
     return order[np.r_[True, np.diff(row[order]) > 0]] if len(order) else order
 
 
-def _is_inside(target: GatheredFacets, positions: Array, x: Array) -> NDArray[np.bool_]:
-    """(n,) whether the closest points say that 𝐱 (n, gdim) lies inside the target. They are looked for where the side of all
-    facets that may hold them does not tell."""
+def _is_inside(target: GatheredFacets, positions: Array, x: Array, depth: Array) -> NDArray[np.bool_]:
+    """(n,) whether the closest points say that 𝐱 (n, gdim) lies inside the target, by `depth` (n,) in m or more. They are
+    looked for where the side of all facets that may hold them does not tell."""
     near = candidates(x, positions[target.facets], 0.0)
-    inside, known = is_behind(target, positions, x, near)
+    inside, known = is_behind(target, positions, x, near, depth)
     ask = np.flatnonzero(~known)
     if len(ask):
-        inside[ask] = penetrates(target, positions, x[ask], near[ask])
+        inside[ask] = penetrates(target, positions, x[ask], near[ask], depth[ask])
     return inside

@@ -33,6 +33,14 @@ FINE = (
 STIFFER = 4.0  # of stiffnesses per area: pressures on finer contactors were off by more than a tenth from there on
 ALIKE = 0.99  # spacings that are the same but for the shape of facets
 OVERLAP = "both surfaces are prescribed there and overlap: no contact force can part them; change the prescribed values"
+DEEP = (
+    "the surfaces overlap where they are in contact, and much of the force comes from that: the contact is on parts of the "
+    "contactor's facets, which do not resolve it; refine the contactor there, or swap contactor and target"
+)
+OVERLAPS = 0.05  # of the longer facet: closed points that lie deeper are hardly held apart,
+BY_OVERLAP = (
+    0.1  # if so much of the contact force is ε g: in resolved contact multipliers bear all but a few hundredths
+)
 SHARE = 0.01  # of a target facet: overlaps below it are those of facets that do not match on curved surfaces
 AT_END = 0.1  # weight of the other nodes where a point counts as at the target's end
 
@@ -189,6 +197,23 @@ class PairResults:
         return (
             Finding(f"{self.name}: overlap (m)", value, X, OVERLAP, True) if value > SHARE * self.target.size else None
         )
+
+    def overlap_in_contact(self) -> Finding | None:
+        """Where closed points lie deep in the target while ε g, in place of multipliers, is a good part of the contact force
+        (collective)."""
+        closed = np.flatnonzero(self.state.status != OPEN)
+        facets, g, j = self.integration.facets, self.at.g[closed], self.j[closed]
+        own = (facets.areas() ** (1.0 / facets.shape.dim))[self.integration.facet[closed]]
+        theirs = 0.0 if self.target.is_rigid else self.target.extents[self.at.point.facet[closed]]
+        depth = g / np.maximum(own, theirs)
+        k = int(np.argmax(depth)) if len(depth) else -1
+        mine = (float(depth[k]), tuple(self.points()[closed[k]].tolist())) if len(depth) else (-np.inf, ())
+        value, X = max(self.comm.allgather(mine))
+        by_overlap = j @ np.abs(g) * self.epsilon.normal
+        borne, total = self.comm.allreduce(np.array([by_overlap, j @ self.state.p[closed]]), MPI.SUM)
+        if value < OVERLAPS or borne < BY_OVERLAP * total:
+            return None
+        return Finding(f"{self.name}: overlap in contact (facets)", value, X, DEEP, False)
 
     def _last_points(self) -> NDArray[np.bool_]:
         """(n,) the points next to an end of the contactor."""

@@ -6,7 +6,7 @@ from dolfinx import fem
 from dolfinx.mesh import CellType, create_box, exterior_facet_indices, locate_entities_boundary, meshtags
 from mpi4py import MPI
 
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, obstacles
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, obstacles, quasistatic
 from dolfinx_mortar_al.verify.meshes import build, graded, half_space
 from dolfinx_mortar_al.verify.model import elastic_work, hold, make_contact, measures, space
 
@@ -101,3 +101,32 @@ def test_a_surface_of_few_facets_has_many_points_and_one_of_many_the_least(cell)
     least = {CellType.tetrahedron: 6, CellType.hexahedron: 9}[cell]
     assert points(2)[0] >= 0.8 * 32**2  # on triangles a rule has fewer than on squares
     assert points(16)[1] == least
+
+
+@pytest.mark.parametrize("facets, said", [(3, True), (10, False)])
+def test_contact_on_parts_of_facets_is_said(facets, said):
+    """A ball of eight cells across pressed into a flat stiff plate of n × n facets, the contactor. With n = 3 contact is in
+    the middle of one facet, whose nodes all are where nothing is pressed: less than half of the force (otherwise Hertz'
+    within a fifth), and the ball is a tenth of a facet in the plate."""
+    R, E, ν, depth = 1.0, 1e6, 0.45, 0.15
+    sphere = create_box(MPI.COMM_WORLD, [[-1.0] * 3, [1.0] * 3], [8] * 3, CellType.hexahedron)
+    sphere.geometry.x[:] = ball(sphere.geometry.x) + np.array([0.0, 0.0, R])
+    plate = create_box(MPI.COMM_WORLD, [[-1.2, -1.2, -0.4], [1.2, 1.2, 0.0]], [facets, facets, 2], CellType.hexahedron)
+    bodies, surfaces, push = [], [], fem.Constant(sphere, np.zeros(3))
+    for domain, modulus, held, touching, value in (
+        (sphere, E, lambda x: x[2] > 1.75, lambda x: x[2] < 1.05, push),
+        (plate, 1e3 * E, lambda x: x[2] < -0.399, lambda x: x[2] > -1e-6, fem.Constant(plate, np.zeros(3))),
+    ):
+        V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
+        u = fem.Function(V)
+        dofs = fem.locate_dofs_topological(V, 2, locate_entities_boundary(domain, 2, held))
+        bodies.append(Body(u, materials.neo_hookean(E=modulus, nu=ν), bcs=[fem.dirichletbc(value, dofs, V)]))
+        found = np.sort(locate_entities_boundary(domain, 2, touching))
+        surfaces.append(Surface(domain, meshtags(domain, 2, found, np.ones(len(found), dtype=np.int32)), 1))
+    problem = ContactProblem(bodies, contacts=[Contact(surfaces[1], surfaces[0])])
+    *_, last = quasistatic.march(problem, quasistatic.Stage(push, (0.0, 0.0, -depth), 3))
+    hertz = 4 / 3 * E / (1 - ν**2) * np.sqrt(R) * depth**1.5
+    share = abs(problem.pairs[0].force()[2]) / hertz
+    assert (share > 0.8) is not said and share < 1.0
+    names = [finding.name for finding in last.findings]
+    assert ("contact: overlap in contact (facets)" in names) is said

@@ -265,6 +265,16 @@ def test_a_hit_far_behind_counts_where_the_closest_point_agrees():
         assert g is None or at.g[0] == pytest.approx(g, abs=1e-12)
 
 
+def test_a_hit_far_behind_is_none_where_the_point_is_hardly_in_the_target():
+    """Just below the target, with a level line that goes back through all of it to a slope far off: 0.655 behind the first
+    point, which the closest point has 0.005 deep, and 0.055 behind the second."""
+    surface = sheets((0.0, 1))
+    surface.X[:, 1] = np.where(np.arange(9) < 7, 0.02, -0.1)
+    at = shoot(surface, np.array([[0.1, 0.015], [0.7, 0.015]]), np.array([[-1.0, 0.0], [-1.0, 0.0]]))
+    assert at.facing.tolist() == [False, True]
+    assert at.g[1] == pytest.approx(0.75 + 0.125 * 0.005 / 0.12 - 0.7, abs=1e-12)
+
+
 def test_in_a_u_the_near_leg_is_faced():
     """Two sheets that face each other, a point between them: each ray takes the sheet it points to, also in penetration."""
     gap = sheets((0.0, 1), (0.5, -1))
