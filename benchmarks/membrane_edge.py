@@ -104,7 +104,7 @@ def solve(
     for _ in quasistatic.march(problem, p, to=PRESSURE, increments=STEPS):
         pass
     right = exact.midpoint_displacement
-    error = np.linalg.norm(output.probe(u, [0.5, 0.0], tags.find(LOWER)) - right) / np.linalg.norm(right)
+    error = np.linalg.norm(output.Probe(u, [0.5, 0.0], tags.find(LOWER))() - right) / np.linalg.norm(right)
     return float(error), ripple(pair, exact)
 
 

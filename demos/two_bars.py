@@ -68,6 +68,7 @@ def simulate(args: argparse.Namespace, directory: Path) -> output.History:
     middle = [bars.height / 2] + [bars.width / 2] * (args.dim - 2)
     faces = [([x, *middle], cell_tags.find(b)) for x, b in [(bars.length, BAR1), (bars.length + bars.gap, BAR2)]]
     v = motion.velocity
+    probes = [output.Probe(f, X, cells) for f in (u, v) for X, cells in faces]
     dx = [ufl.Measure("dx", mesh, subdomain_data=cell_tags)(bar) for bar in (BAR1, BAR2)]
     kinetic = [fem.form(RHO / 2 * ufl.inner(v, v) * dx_k) for dx_k in dx]
     strain = [motion.energy_forms(dx_k)[1] for dx_k in dx]
@@ -77,7 +78,7 @@ def simulate(args: argparse.Namespace, directory: Path) -> output.History:
     run = output.Run(problem, directory, COLUMNS, said, args.paraview, checkpoint=args.checkpoint)
     rest = {"to": args.time, "start": run.start, "ledger": run.ledger}
     for step in dynamics.march(problem, **rest) if run.start < args.time * (1 - 1e-9) else ():
-        (u1, u2), (v1, v2) = ([output.probe(f, X, cells)[0] for X, cells in faces] for f in (u, v))
+        u1, u2, v1, v2 = (value()[0] for value in probes)
         (k1, k2), (w1, w2) = ([motion.integral(form) for form in forms] for forms in (kinetic, strain))
         ledger = step.ledger
         run.record(

@@ -83,13 +83,14 @@ def simulate(args: argparse.Namespace, friction: float, directory: Path) -> tupl
     problem = ContactProblem(body, contacts=[Contact(contactor, target, friction=friction)])
     pair = problem.pairs[0]
 
-    tip = [beams.length, beams.height / 2] + [beams.width / 2] * (args.dim - 2)
+    middle = [beams.length, beams.height / 2] + [beams.width / 2] * (args.dim - 2)
+    tip = output.Probe(u, middle, cell_tags.find(UPPER))
     said = vars(args) | {"friction": friction}
     run = output.Run(problem, directory, COLUMNS, said, args.paraview, checkpoint=args.checkpoint)
     left = round(args.increments * (1 - run.start / args.load))
     march = quasistatic.march(problem, P, to=args.load, increments=left, start=run.start, progress=True) if left else ()
     for step in march:
-        ux, uy = output.probe(u, tip, cell_tags.find(UPPER))[:2]
+        ux, uy = tip()[:2]
         fx, fy = pair.force()[:2]
         run.record(
             step, step.load, load=step.load, tip_ux=ux, tip_uy=uy, contact_force_x=fx, contact_force_y=fy,

@@ -73,7 +73,7 @@ def simulate(args: argparse.Namespace, case: tuple[float, float, float], directo
 
     least, *others = membrane.principal_stretches(u)
     stretches = [monitors.Monitor("stretch", s, u, bound=0.0, meaning="") for s in (least, *others)]
-    middle = [built.length / 2, 0.0] + [built.width / 2] * (args.dim - 2)
+    middle = output.Probe(u, [built.length / 2, 0.0] + [built.width / 2] * (args.dim - 2), cell_tags.find(LOWER))
     said = {"friction": friction, "shift": shift, "pressure": pressure}
     run = output.Run(problem, directory, COLUMNS, vars(args) | said, args.paraview, checkpoint=args.checkpoint)
     end = f"the pressure of {pressure:g} Pa is reached"
@@ -81,7 +81,7 @@ def simulate(args: argparse.Namespace, case: tuple[float, float, float], directo
         left = {"increments": round(args.increments * (1 - run.start / pressure)), "start": run.start}
         march = quasistatic.march(problem, p, to=pressure, until=pair.reaches_end, progress=True, **left)
         for step in march if left["increments"] else ():
-            mid = output.probe(u, middle, cell_tags.find(LOWER))
+            mid = middle()
             run.record(
                 step, step.load, pressure=step.load, mid_ux=mid[0], mid_uy=mid[1], contact_length=pair.contact_area(),
                 max_height=output.extent(u, cell_tags.find(LOWER))[1][1], max_multiplier=pair.largest_pressure(),

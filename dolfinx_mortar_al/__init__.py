@@ -7,7 +7,7 @@ from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.meshfile import read_msh
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem
-from dolfinx_mortar_al.ranks import end_together
+from dolfinx_mortar_al.ranks import end_together, share_out_alike
 from dolfinx_mortar_al.reactions import reaction
 from dolfinx_mortar_al.surface import Surface
 
@@ -34,3 +34,4 @@ __all__ = [
 
 monitors.show_warnings()
 end_together()
+share_out_alike()

@@ -16,6 +16,7 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.blocks import Blocks
 from dolfinx_mortar_al.kinematics import Kinematics
 from dolfinx_mortar_al.law import OPEN, LawState
+from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 
 __all__ = ["ActiveSet"]
 
@@ -103,7 +104,7 @@ class ActiveSet:
             release = -self._known(residual, self._area(before), unit, εN, kinematics)
         least = np.where(before, release, close)
         if self._weak_may_open:  # no history: what presses weakly in an all-closed start may open at once
-            weak = WEAK * self._comm.allreduce(float(λ[before].max(initial=0.0)), MPI.MAX)
+            weak = WEAK * max_over(self._comm, float(λ[before].max(initial=0.0)))
             if known < 0.1 * weak:
                 least[before & self._guess], self._weak_may_open = weak, False
         self._losses += before & ~kinematics.may_close
@@ -120,7 +121,7 @@ class ActiveSet:
     def _are_many(self, opening: Bool) -> bool:
         """Whether more than MANY of the closed points on facets that were in contact open, (n,) (collective)."""
         known = self._were_in_contact
-        count = self._comm.allreduce(np.array([(opening & known).sum(), (self.closed & known).sum()]), MPI.SUM)
+        count = sum_over(self._comm, np.array([(opening & known).sum(), (self.closed & known).sum()]))
         return bool(count[0] > MANY * count[1])
 
     def _area(self, counts: Bool) -> PETSc.Vec:
@@ -141,7 +142,7 @@ class ActiveSet:
         """Once in a solve that has converged: give points that slid off for good, and penetrate the target now, one more
         chance, since Newton may have thrown them off on its way; whether there are any (collective)."""
         back = self._left & kinematics.may_close & (state.λN_hat > 0)
-        if self._pardoned or not self._comm.allreduce(bool(back.any()), MPI.LOR):
+        if self._pardoned or not any_over(self._comm, back.any()):
             return False
         self._losses[back], self._pardoned = LOSSES - 1, True
         return True
@@ -181,6 +182,6 @@ class ActiveSet:
         else:
             closed = (state.status != OPEN) & ~np.isnan(self.frozen)
             miss = float(np.abs(self.frozen - μ * np.maximum(state.p, 0.0))[closed].max(initial=0.0))
-        worst = self._comm.allreduce(miss, MPI.MAX)
-        largest = self._comm.allreduce(float(state.p.max(initial=0.0)), MPI.MAX)
+        worst = max_over(self._comm, miss)
+        largest = max_over(self._comm, float(state.p.max(initial=0.0)))
         return worst / max(μ * largest, 1e-300) if worst > 0 else 0.0

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.corners import SharpCorners
@@ -19,6 +18,7 @@ from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.kinematics import Kinematics
 from dolfinx_mortar_al.law import OPEN, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.multiplier import MultiplierSpace
+from dolfinx_mortar_al.reductions import all_over
 from dolfinx_mortar_al.targets import Target
 
 __all__ = ["Blocks", "Tangent", "apply_columns", "sums_of_products"]
@@ -85,9 +85,7 @@ class Blocks:
     def turn(self, ν: Array | None) -> None:
         """Let the multiplier's normal part be that along ν (n, gdim), or take its components in global axes (collective)."""
         known = ν is not None and self._along is not None and bool(np.array_equal(ν, self._along))
-        if ν is not None and self.multiplier.submesh.comm.allreduce(
-            known, MPI.LAND
-        ):  # a time step holds its directions
+        if ν is not None and all_over(self.multiplier.submesh.comm, known):  # a time step holds its directions
             return
         self._along = None if ν is None else ν.copy()
         #: (n, components, nodes × components) the multiplier at each point from its facet's unknowns
@@ -215,8 +213,9 @@ class Blocks:
         node numbers (runs, nodes) of its target facet and of the extra one."""
         target, extra = kinematics.at.point.facet[act], kinematics.extra
         more = facet if extra is None else extra.facet[act]
-        key = np.stack([facet, target, more])
-        starts = np.flatnonzero(np.r_[True, (np.diff(key, axis=1) != 0).any(axis=0)][: key.shape[1]])
+        new = np.ones(len(facet), dtype=bool)
+        new[1:] = (facet[1:] != facet[:-1]) | (target[1:] != target[:-1]) | (more[1:] != more[:-1])
+        starts = np.flatnonzero(new)
         facets = self.target.facets
         return starts, facets[target[starts]], None if extra is None else facets[more[starts]]
 
@@ -281,7 +280,9 @@ def sums_of_products(A: Array, B: Array, starts: Index) -> Array:
     (n, r, a), b = A.shape, B.shape[2]
     if not n:
         return np.zeros((0, a, b))
-    length = np.diff(np.r_[starts, n])
+    length = np.diff(starts, append=n)
+    if (length == length[0]).all():
+        return np.asarray(np.swapaxes(A.reshape(len(length), -1, a), 1, 2) @ B.reshape(len(length), -1, b))
     most = int(np.ceil(n / len(length)))
     pieces = -(-length // most)
     first = np.cumsum(pieces) - pieces

@@ -24,6 +24,7 @@ from dolfinx_mortar_al.moduli import yielding_share
 from dolfinx_mortar_al.petsc_blocks import Layout
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed
+from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.validation import check_cells, check_residual, compiled, listed
 from dolfinx_mortar_al.versions import geometry_degree, whole_form
 
@@ -107,7 +108,7 @@ class BodyForms:
     def _unmet_bcs(self) -> bool:
         gap = np.zeros(self.owned * self.space.dofmap.index_map_bs)
         self.set_bc_rows(gap)
-        return bool(self.mesh.comm.allreduce(float(np.abs(gap).max(initial=0.0)), MPI.MAX) > 0)
+        return bool(max_over(self.mesh.comm, float(np.abs(gap).max(initial=0.0))) > 0)
 
     def prescribed(self) -> fem.Function:
         """1 at the components that a Dirichlet condition prescribes, 0 elsewhere; ghosts agree."""
@@ -266,14 +267,14 @@ class Bodies:
             free = body.prescribed().x.array == 0
             own = np.repeat(largest[body.piece + first], self.gdim)
             found |= bool((diagonal.x.array[free] < 1e-10 * own[free]).any())
-        return bool(self.comm.allreduce(found, MPI.LOR))
+        return any_over(self.comm, found)
 
     def stiffest(self, diagonals: Sequence[fem.Function]) -> Array:
         """(pieces,) largest diagonal entry of the stiffness (N/m) on each piece (collective)."""
         largest = np.zeros(self.pieces)
         for body, first, diagonal in zip(self.bodies, self.first_piece, diagonals, strict=True):
             np.maximum.at(largest, np.repeat(body.piece + first, self.gdim), diagonal.x.array)
-        return self._largest(largest)
+        return max_over(self.comm, largest)
 
     def diameters(self) -> Array:
         """(pieces,) diagonal of each piece's bounding box (m), collective."""
@@ -283,14 +284,8 @@ class Bodies:
             for body, first in zip(self.bodies, self.first_piece, strict=True):
                 X = body.space.tabulate_dof_coordinates()[:, : self.gdim]
                 np.maximum.at(reach, body.piece + first, side * X)
-            size += self._largest(reach)
+            size += max_over(self.comm, reach)
         return np.asarray(np.linalg.norm(size, axis=1))
-
-    def _largest(self, values: Array) -> Array:
-        """The largest of each entry over the ranks (collective)."""
-        result = np.empty_like(values)
-        self.comm.Allreduce(np.ascontiguousarray(values), result, MPI.MAX)
-        return result
 
     def resultants(self, values: Array) -> Array:
         """(pieces,) largest component of the sum of nodal forces (owned dofs,) on each piece over the root of its number of
@@ -303,10 +298,10 @@ class Bodies:
             for body, first in zip(self.bodies, self.first_piece, strict=True):
                 np.minimum.at(free, body.piece + first, 1.0 - body.prescribed().x.array.reshape(-1, self.gdim))
             nodes = np.bincount(self.piece_of_dof, minlength=self.pieces) / self.gdim
-            self._free_axes = -self._largest(-free) / np.sqrt(self.comm.allreduce(nodes, MPI.SUM))[:, None]
+            self._free_axes = -max_over(self.comm, -free) / np.sqrt(sum_over(self.comm, nodes))[:, None]
         sums = np.zeros((self.pieces, self.gdim))
         np.add.at(sums, self.piece_of_dof[:: self.gdim], values.reshape(-1, self.gdim))
-        return np.asarray(np.abs(self._free_axes * self.comm.allreduce(sums, MPI.SUM)).max(axis=1))
+        return np.asarray(np.abs(self._free_axes * sum_over(self.comm, sums)).max(axis=1))
 
     def spring_shares(self, diagonals: Sequence[fem.Function], touched: Sequence[NDArray[np.bool_]]) -> Array:
         """(owned dofs,) the stiffness of the softest piece that each piece may press, `touched` with it by a pair, as a share
@@ -321,7 +316,7 @@ class Bodies:
     def prescribed_pieces(self) -> NDArray[np.bool_]:
         """(pieces,) of which some component is prescribed (collective)."""
         some = np.bincount(self.piece_of_dof, weights=self.prescribed(), minlength=self.pieces)
-        return np.asarray(self.comm.allreduce(some, MPI.SUM) > 0)
+        return np.asarray(sum_over(self.comm, some) > 0)
 
     def prescribed(self) -> NDArray[np.bool_]:
         """(owned dofs,) components that are prescribed (collective)."""
@@ -331,7 +326,7 @@ class Bodies:
     def norms(self, values: Array) -> Array:
         """(pieces,) norm of nodal values (owned dofs,) on each piece (collective)."""
         squares = np.bincount(self.piece_of_dof, weights=values**2, minlength=self.pieces)
-        return np.asarray(np.sqrt(self.comm.allreduce(squares, MPI.SUM)))
+        return np.asarray(np.sqrt(sum_over(self.comm, squares)))
 
     def residual(self, b: PETSc.Vec) -> Array:
         """Assemble the bulk's residual into `b`; returns its norm on each piece (pieces,) with reactions, before Dirichlet
@@ -352,7 +347,7 @@ class Bodies:
 
     def inverted_volume(self) -> float:
         """Reference volume of inverted cells, at the bulk's Gauss points (collective)."""
-        return float(self.comm.allreduce(sum(body.inverted_volume() for body in self.bodies)))
+        return sum_over(self.comm, sum(body.inverted_volume() for body in self.bodies))
 
     def diameter(self) -> float:
         """Diagonal of the bounding box of all meshes (m)."""

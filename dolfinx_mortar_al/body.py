@@ -17,6 +17,7 @@ from ufl.core.expr import Expr
 
 from dolfinx_mortar_al.materials import Hyperelastic, cell_measure
 from dolfinx_mortar_al.membrane import NeoHookeanMembrane
+from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.validation import (
     check_external,
     check_law,
@@ -163,7 +164,7 @@ class Body:
         cells = domain.topology.index_map(domain.topology.dim).size_local
         share, whole = (fem.assemble_vector(fem.form(whole_form(form, domain))).array[:cells] for form in forms)
         times = np.round(share / whole).astype(int)
-        none, twice = domain.comm.allreduce(np.array([np.sum(times == 0), np.sum(times > 1)]))
+        none, twice = sum_over(domain.comm, np.array([np.sum(times == 0), np.sum(times > 1)]))
         if none or twice:
             raise ValueError(
                 f"material: {none} cells belong to no part and {twice} to several; give each cell to one of the measures"
@@ -219,6 +220,6 @@ def _conditions(bcs: Any, u: fem.Function) -> list[fem.DirichletBC]:
     for k, bc in enumerate(conditions):
         if not u.function_space._cpp_object.contains(bc.function_space):
             raise ValueError(f"bcs[{k}]: a Dirichlet condition on another space than u's; pass it to its own body")
-        if not u.function_space.mesh.comm.allreduce(len(bc.dof_indices()[0])):
+        if not sum_over(u.function_space.mesh.comm, len(bc.dof_indices()[0])):
             raise ValueError(f"bcs[{k}]: a Dirichlet condition on no node; look at what its dofs were located by")
     return conditions

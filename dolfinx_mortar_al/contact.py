@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from dolfinx import fem
-from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
@@ -28,6 +27,7 @@ from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import TargetPoint
+from dolfinx_mortar_al.reductions import any_over, max_over, min_over, sum_over
 from dolfinx_mortar_al.results import PairResults
 from dolfinx_mortar_al.segments import Segments, segments_of
 from dolfinx_mortar_al.self_target import SelfTarget
@@ -175,7 +175,7 @@ class ContactPair(PairResults):
         #: Gauss points: all there is without segments, and with them where λ̂_N is kept from step to step
         self.gauss = self._points(contactor)
         self.integration = self.gauss
-        self.area = float(self.comm.allreduce(float(self.j.sum())))
+        self.area = sum_over(self.comm, float(self.j.sum()))
         self._check_apart(contactor)
         self.kinematics: Kinematics = PositionLevel(self.integration, self._body1.u, self.target, friction)
         #: (nf, nodes) numbers of the contactor's nodes among all bodies'
@@ -321,8 +321,8 @@ class ContactPair(PairResults):
         """The contactor's and the target's mean nodal stiffness per facet area (Pa/m)."""
         mine = next(d for d in diagonals if d.function_space is self._body1.space)
         own = self._at_nodes(mine).mean(axis=(1, 2)) / self.integration.sum_by_facet(self.j)
-        count = self.comm.allreduce(self.facets.size)
-        contactor = self.comm.allreduce(float(own.sum())) / count
+        count = sum_over(self.comm, self.facets.size)
+        contactor = sum_over(self.comm, float(own.sum())) / count
         target = self.target.stiffness(diagonals, self.thickness)
         for side, stiffness in (
             (f"contactor (tag {self.contact.contactor.tag})", contactor),
@@ -411,8 +411,8 @@ class ContactPair(PairResults):
         k, comm = self.kinematics, self.comm
         closest = self.target.closest(k.x)
         same_way = np.einsum("ni,ni->n", k.contactor().normal, closest.ν) > 0.5
-        facing = comm.allreduce(int(closest.facing.sum()))
-        if facing and comm.allreduce(int((closest.facing & same_way).sum())) == facing:
+        facing = sum_over(comm, int(closest.facing.sum()))
+        if facing and sum_over(comm, int((closest.facing & same_way).sum())) == facing:
             raise ValueError(
                 f"{self.name}: the target ({self.contact.target_name}) faces away from the contactor "
                 f"(tag {self.contact.contactor.tag}) everywhere: pass the side of the body that faces it"
@@ -428,7 +428,7 @@ class ContactPair(PairResults):
         if self.target.is_contactor:
             return
         k, comm, membrane = self.kinematics, self.comm, self.contact.contactor.is_membrane
-        if comm.allreduce(float(self._depth(k.x).min(initial=np.inf)), MPI.MIN) < -k.touch:
+        if min_over(comm, float(self._depth(k.x).min(initial=np.inf))) < -k.touch:
             return
         body, d = self._body1, self.gdim
         mine = np.isin(
@@ -436,8 +436,8 @@ class ContactPair(PairResults):
         )
         x = body.space.tabulate_dof_coordinates()[:, :d] + body.u.x.array.reshape(-1, d)
         depth = self._depth(x[mine])
-        least = comm.allreduce(float(depth.min(initial=np.inf)), MPI.MIN)
-        deepest = comm.allreduce(float(depth.max(initial=-np.inf)), MPI.MAX)
+        least = min_over(comm, float(depth.min(initial=np.inf)))
+        deepest = max_over(comm, float(depth.max(initial=-np.inf)))
         if least >= -k.touch and deepest > (self.target.size if membrane else k.touch):
             raise ValueError(
                 f"{self.name}: the contactor (tag {self.contact.contactor.tag}) lies with its whole body behind the target "
@@ -485,7 +485,7 @@ class ContactPair(PairResults):
     def let_go(self) -> bool:
         """Let points beyond the target's end go, on whatever rank; whether there are any (collective)."""
         gone = self.target_end is not None and self.target_end.let_go()
-        if not self.comm.allreduce(gone, MPI.LOR):
+        if not any_over(self.comm, gone):
             return False
         self._project()
         return True
@@ -565,7 +565,7 @@ class ContactPair(PairResults):
     def decide(self, residual: PETSc.Vec) -> bool:
         """Let the active set change, once per Newton iteration; whether any point did, on any rank."""
         changed = self.active.decide(self.state, self.kinematics, residual, self.unit, self.epsilon.normal)
-        return bool(self.comm.allreduce(changed, MPI.LOR))
+        return any_over(self.comm, changed)
 
     def decisions(self) -> Decisions:
         """What :meth:`decide` may change, and at which points."""
@@ -580,7 +580,7 @@ class ContactPair(PairResults):
         """Largest |λ̂_N| (Pa) at a point that is closed or open against eq. (1), as a share of the largest pressure
         (collective)."""
         wrong = self.active.at_odds(self.state, self.kinematics, self.epsilon.normal)
-        worst = self.comm.allreduce(float(wrong.max(initial=0.0)), MPI.MAX)
+        worst = max_over(self.comm, float(wrong.max(initial=0.0)))
         return worst / max(self.largest_pressure(), 1e-300) if worst > 0 else 0.0
 
     def relative_motion(self) -> float:
@@ -592,7 +592,7 @@ class ContactPair(PairResults):
         self.target.refresh()
         moved = self.target.positions(k.at.point, k.at.N) - k.at.y
         size = np.linalg.norm(k.positions() - k.x - moved, axis=1)[self.state.status != OPEN]
-        return self.comm.allreduce(float(size.max(initial=0.0)), MPI.MAX) / self.target.size
+        return max_over(self.comm, float(size.max(initial=0.0))) / self.target.size
 
     def apart(self) -> Array:
         """(n, gdim) 𝐱 − 𝐲 at the present displacements (m), 𝐲 the point of the target that was faced at the last evaluation

@@ -21,12 +21,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mpi4py import MPI
+import numpy as np
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.linear_solver import LinearSolver
 from dolfinx_mortar_al.linearised_bulk import LinearisedBulk
 from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.reductions import any_over
 
 __all__ = ["ContactIteration"]
 
@@ -34,6 +35,7 @@ ENOUGH = 0.01  # of the residual that Newton's step started from: the bulk's non
 CHORD = 0.2  # of the residual: steps with an old derivative go on while each leaves less
 SOLVES = 8  # at most in one of them
 ENDS = 0.01  # of the tolerance: once begun they go on to it, as they converge linearly and Newton's last step does not
+AFFORDED = 5.0  # of them that may be to come in the plane: Newton's next iteration costs four (bars) to six (disc)
 LINEAR = 0.1  # relative tolerance of GMRES: with 0.01 a fifth less steps for a fifth more solves
 
 
@@ -87,7 +89,7 @@ class ContactIteration:
         if not known:
             return False, False
         moved = [pair.follow_segments() for pair in self.problem.pairs]  # segments were held until now
-        return not self.problem.comm.allreduce(any(moved), MPI.LOR), self._bulk_at_z
+        return not any_over(self.problem.comm, any(moved)), self._bulk_at_z
 
     def improve(self, x: PETSc.Vec, y: PETSc.Vec, start: float, residual: PETSc.Vec, share: float) -> PETSc.Vec | None:
         """What to add to y so that contact settles on the linearised bulk, and the bulk's forces follow; None if they have
@@ -156,9 +158,7 @@ class ContactIteration:
         """Steps from z with the bulk's derivative at x, and without `bulk` contact's as well while it is as it was there, as
         long as each leaves a share CHORD of the residual or less; whether any was taken. One that leaves more is undone."""
         size, taken = self._follow(), False
-        while (ENDS if taken else 1.0) < size < CHORD * start and (
-            bulk is not None or self.problem.contact_pattern() == self._before
-        ):
+        while self._pays(size, start, taken) and (bulk is not None or self.problem.contact_pattern() == self._before):
             self._keep()
             self._solve(bulk, SOLVES)
             self._advance()
@@ -169,6 +169,13 @@ class ContactIteration:
                 return taken
             taken = True
         return taken
+
+    def _pays(self, size: float, start: float, taken: bool) -> bool:
+        """Whether to take a step with the old derivative, the last step having left `size` of `start`; `taken`: it was one of
+        them, and not Newton's."""
+        share = size / start if start > 0 else 1.0
+        end = ENDS if taken else 1.0
+        return end < size and share < CHORD and (self._is_solid or np.log(end / size) / np.log(share) <= AFFORDED)
 
     def undo(self) -> None:
         """Take back the decisions of :meth:`improve`."""

@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.ledger import Ledger
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 
 __all__ = ["DriftMonitor"]
 
@@ -44,14 +44,14 @@ class DriftMonitor:
         comm, d = problem.comm, problem.gdim
         self._prescribed = [body.prescribed().x.array > 0 for body in problem.bodies.bodies]
         held = np.any([some.reshape(-1, d).any(axis=0) for some in self._prescribed], axis=0)
-        held = np.asarray(comm.allreduce(held.astype(int)) > 0)
+        held = np.asarray(sum_over(comm, held.astype(int)) > 0)
         self._any_prescribed = bool(held.any())
         loaded = any(m.external is not None or m.has_forms for m in problem.motions) or any(
             p.target.is_rigid for p in problem.pairs
         )
         self._free = ~held & (not loaded)
         reach = [np.abs(body.mesh.geometry.x).max(initial=0.0) for body in problem.bodies.bodies]
-        self._reach = comm.allreduce(float(max(reach)), MPI.MAX)
+        self._reach = max_over(comm, float(max(reach)))
         self._mass = sum(motion.mass for motion in problem.motions)
 
     def look(self, ledger: Ledger, depths: Sequence[float]) -> list[Finding]:
@@ -80,4 +80,4 @@ class DriftMonitor:
         if not self._any_prescribed:
             return False
         speeds = [m.velocity.x.array[some] for m, some in zip(self._motions, self._prescribed, strict=True)]
-        return bool(self._problem.comm.allreduce(any(bool(v.any()) for v in speeds), MPI.LOR))
+        return bool(any_over(self._problem.comm, any(bool(v.any()) for v in speeds)))

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al import stepping, validation
@@ -26,6 +25,7 @@ from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.newton import NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot
 from dolfinx_mortar_al.ranks import agreed
+from dolfinx_mortar_al.reductions import max_over, sum_over
 from dolfinx_mortar_al.stepping import Attempt, Bar, Controller, Event, StepFailure
 from dolfinx_mortar_al.velocity_projection import VelocityProjection
 
@@ -301,7 +301,7 @@ class _TimeControl(Controller[Step]):
         sums = np.zeros(3)
         for level, pair in zip(self.levels, problem.pairs, strict=True):
             done = level.work(pair.state, pair.j)
-            sums += problem.comm.allreduce(np.array([done.normal, done.tangential, done.by_obstacle]), MPI.SUM)
+            sums += sum_over(problem.comm, np.array([done.normal, done.tangential, done.by_obstacle]))
             stored += pair.stored_energy()
         normal, tangential, by_obstacles = sums.tolist()
         return _Work(normal, tangential, by_obstacles, self.ledger.contact - stored - normal)
@@ -321,7 +321,7 @@ class _TimeControl(Controller[Step]):
     def _inertia_scale(self, Δt: float) -> float:
         """Norm of nodal momenta per Δt (N), roughly: the size of forces that a step of this length resolves."""
         comm, kinetic = self.problem.comm, self.ledger.kinetic
-        largest = max(comm.allreduce(float(np.abs(m.velocity.x.array).max(initial=0.0)), MPI.MAX) for m in self.motions)
+        largest = max(max_over(comm, float(np.abs(m.velocity.x.array).max(initial=0.0))) for m in self.motions)
         return 2 * kinetic / (largest * Δt) / np.sqrt(self.problem.bodies.layout.total) if largest > 0 else 0.0
 
     def undo(self) -> None:

@@ -44,10 +44,10 @@ class Inside:
         along = (y - x) / np.maximum(length, 1e-300)[:, None]
         surface = self._boundary.surface
         nodes = self._boundary.nodes[surface.facets]
-        row, _, _, d = hits(surface.shape, nodes, x, along, *ray_candidates(x, along, nodes, 0.0)[:2])
+        found = hits(surface.shape, nodes, x, along, *ray_candidates(x, along, nodes, 0.0)[:2])
         slack = AT_SURFACE * surface.size_of_facets
         result = length > slack
-        result[row[(d > slack) & (d < length[row] - slack)]] = False
+        result[found.row[(found.d > slack) & (found.d < length[found.row] - slack)]] = False
         return result
 
     def _outer(self) -> Surface:

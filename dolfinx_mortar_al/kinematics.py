@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.carried import carried, components, vary_carried
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.law import Coulomb, Frictionless, LawState
-from dolfinx_mortar_al.projection import Projection, TargetPoint, combine
+from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot
 from dolfinx_mortar_al.targets import ContactorPoints, Target
 from dolfinx_mortar_al.variation import Slots, vary
 
@@ -212,7 +212,7 @@ def contactor_points(points: IntegrationPoints, nodes: Array) -> ContactorPoints
     """Integration points with the contactor's normals and tangents, its nodes at `nodes` (nf, nodes, gdim)."""
     tangents = points.tangents(nodes)
     normal = points.normals(tangents)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normal /= np.sqrt(dot(normal, normal))[:, None]
     return ContactorPoints(points.interpolate(nodes), normal, tangents, points.facet)
 
 

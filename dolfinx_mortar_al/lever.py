@@ -16,6 +16,7 @@ from dolfinx_mortar_al.projection import dot, dual
 __all__ = ["Lever"]
 
 Array = NDArray[np.float64]
+Parts = tuple[Array, Array, Array, Array]
 
 
 @dataclass
@@ -33,7 +34,7 @@ class Lever:
     @classmethod
     def of(cls, a: Array, normal: Array, r: Array) -> Lever:
         """From tangents, a normal of any length, and the distance."""
-        return cls(dual(a), normal / np.linalg.norm(normal, axis=1, keepdims=True), r)
+        return cls(dual(a), normal / np.sqrt(dot(normal, normal))[:, None], r)
 
     @property
     def along(self) -> Array:
@@ -47,7 +48,8 @@ class Lever:
 
     def carry(self, Δa: Array) -> Array:
         """(n, gdim) 𝐀^α Δ𝐚_α: how 𝐫 would change with the contactor's facet; Δa (n, dim, gdim)."""
-        return np.asarray(self.carry_map(Δa[..., None])[..., 0])
+        tilt, moved = Δa @ self.n[:, :, None], (self.along[:, None] @ Δa)[:, 0]
+        return np.asarray(moved - self.height[:, None] * (np.swapaxes(tilt, 1, 2) @ self.dual)[:, 0])
 
     def carry_map(self, δa: Array) -> Array:
         """(n, gdim, z) 𝐀^α δ𝐚_α of maps δ𝐚_α (dim, gdim, z), or (n, dim, gdim, z)."""
@@ -57,14 +59,15 @@ class Lever:
 
     def transposed(self, F: Array) -> Array:
         """(n, dim, gdim) (𝐀^α)ᵀ 𝐅, the forces on the tangents."""
-        return np.asarray(self.transposed_map(F[..., None])[..., 0])
+        lifted = (self.dual @ F[:, :, None]) * self.height[:, None, None]
+        return np.asarray(self.along[:, :, None] * F[:, None] - lifted * self.n[:, None])
 
     def transposed_map(self, δF: Array) -> Array:
         """(n, dim, gdim, z) (𝐀^α)ᵀ δ𝐅 of a map δ𝐅 (n, gdim, z)."""
         lifted = (self.dual @ δF) * self.height[:, None, None]
         return np.asarray(self.along[:, :, None, None] * δF[:, None] - lifted[:, :, None] * self.n[:, None, :, None])
 
-    def vary_parts(self, δa: Array, δr: Array) -> tuple[Array, Array, Array, Array]:
+    def vary(self, δa: Array, δr: Array) -> Parts:
         """δ𝐚^α (n, dim, gdim, z), δ𝐧 (n, gdim, z), δ(𝐚^α·𝐫) (n, dim, z) and δ(𝐧·𝐫) (n, z), of δ𝐚_α (dim, gdim, z) and
         δ𝐫 (gdim, z)."""
         tilt = np.einsum("ni,biz->nbz", self.n, δa)  # 𝐧·δ𝐚_β
@@ -75,9 +78,9 @@ class Lever:
         δalong = np.einsum("naiz,ni->naz", δdual, self.r) + self.dual @ δr
         return δdual, δn, δalong, np.einsum("niz,ni->nz", δn, self.r) + self.n @ δr
 
-    def vary_carry(self, Δa: Array, δa: Array, δr: Array) -> Array:
-        """(n, gdim, z) δ𝐀^α Δ𝐚_α."""
-        δdual, δn, δalong, δheight = self.vary_parts(δa, δr)
+    def vary_carry(self, Δa: Array, varied: Parts) -> Array:
+        """(n, gdim, z) δ𝐀^α Δ𝐚_α, of what :meth:`vary` gives."""
+        δdual, δn, δalong, δheight = varied
         lift = (Δa @ self.n[:, :, None])[:, :, 0]  # 𝐧·Δ𝐚_α
         turned = np.einsum("na,nai->ni", lift, self.dual)
         δlift = np.einsum("nai,niz->naz", Δa, δn)
@@ -85,9 +88,9 @@ class Lever:
         moved = np.einsum("naz,nai->niz", δalong, Δa)
         return np.asarray(moved - turned[:, :, None] * δheight[:, None] - self.height[:, None, None] * δturned)
 
-    def vary_transposed(self, F: Array, δa: Array, δr: Array) -> Array:
-        """(n, dim, gdim, z) (δ𝐀^α)ᵀ 𝐅."""
-        δdual, δn, δalong, δheight = self.vary_parts(δa, δr)
+    def vary_transposed(self, F: Array, varied: Parts) -> Array:
+        """(n, dim, gdim, z) (δ𝐀^α)ᵀ 𝐅, of what :meth:`vary` gives."""
+        δdual, δn, δalong, δheight = varied
         lifted = (self.dual @ F[:, :, None])[:, :, 0]  # 𝐚^α·𝐅
         δlifted = np.einsum("naiz,ni->naz", δdual, F)
         height = self.height[:, None, None]

@@ -22,6 +22,7 @@ from petsc4py import PETSc
 
 from dolfinx_mortar_al.block_preconditioner import BlockPreconditioner, block_defaults
 from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.reductions import min_over
 
 __all__ = ["LinearSolver"]
 
@@ -304,7 +305,7 @@ def _free_memory(comm: MPI.Intracomm) -> float:
         free = next(float(line.split()[1]) / 1024 for line in lines if line.startswith("MemAvailable"))
     except (OSError, StopIteration):  # no Linux
         free = 1e6
-    least = comm.allreduce(free / node.size, MPI.MIN)
+    least = min_over(comm, free / node.size)
     node.Free()
     return float(least)
 

@@ -6,11 +6,11 @@ import warnings
 from types import TracebackType
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.monitors import ModelWarning
 from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.reductions import any_over
 from dolfinx_mortar_al.targets import RigidTarget
 
 __all__ = ["LoadWatch"]
@@ -50,7 +50,7 @@ class LoadWatch:
         if self._felt or error is not None:
             return
         changed = not np.array_equal(self._before, self._state(), equal_nan=True)
-        self._felt = bool(self._problem.comm.allreduce(changed, MPI.LOR))
+        self._felt = any_over(self._problem.comm, changed)
         if self._at_once:
             self.report(6)
 

@@ -18,6 +18,7 @@ from ufl.core.expr import Expr
 
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_vector
+from dolfinx_mortar_al.reductions import sum_over
 
 __all__ = ["area_normal", "axis_normal", "dead_traction", "follower_force", "membrane_pressure", "pressure"]
 
@@ -81,7 +82,7 @@ def _check_side(u: fem.Function, side: Any, dx: ufl.Measure) -> None:
     parts = fem.Expression(ufl.as_vector([ufl.inner(across, across), ufl.inner(along, along)]), middle, comm=mesh.comm)
     whole, flat = parts.eval(mesh, cells).reshape(-1, 2).T
     inside = ~(whole - flat > 1e-12 * whole)
-    if mesh.comm.allreduce(int(inside.sum())):
+    if sum_over(mesh.comm, int(inside.sum())):
         raise ValueError(
             f"side = {side} lies in the plane of the membrane somewhere: point to where the pressure pushes"
         )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.body import Body, Material
 from dolfinx_mortar_al.internal_work import internal_work
 from dolfinx_mortar_al.materials import cell_measure
+from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.validation import check_dead, number
 from dolfinx_mortar_al.versions import whole_form
 
@@ -133,7 +134,7 @@ class Motion:
 
     def integral(self, form: Any) -> float:
         """Value of a compiled scalar form (collective)."""
-        return float(self.u.function_space.mesh.comm.allreduce(fem.assemble_scalar(form)))
+        return sum_over(self.u.function_space.mesh.comm, fem.assemble_scalar(form))
 
     def energies(self) -> tuple[float, float]:
         """Kinetic and strain energy (J), with the work of internal forces that have no stored energy (collective)."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
@@ -18,6 +17,7 @@ from dolfinx_mortar_al.contact_iteration import ContactIteration
 from dolfinx_mortar_al.linear_solver import EXTERNAL, LinearSolver
 from dolfinx_mortar_al.load import Load
 from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.ties import Bearing
 from dolfinx_mortar_al.validation import number, whole
 
@@ -432,7 +432,7 @@ class NewtonSolver:
         self.snes.getKSP().solve(there, z)
         self.linear.add_ties(z)
         along = [path.direction @ v.getNestSubVecs()[0].array_r for v in (y, z)]
-        dy, dz = (p.comm.allreduce(float(a), MPI.SUM) for a in along)
+        dy, dz = (sum_over(p.comm, float(a)) for a in along)
         y.axpy(-dy / dz, z)
         return -dy / dz
 

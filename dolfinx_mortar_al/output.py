@@ -14,6 +14,7 @@ from typing import Any, TextIO
 
 import numpy as np
 from dolfinx import fem
+from dolfinx.mesh import Mesh
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.checkpoint import Checkpoint
@@ -23,7 +24,7 @@ from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.ranks import on_root, together
 from dolfinx_mortar_al.validation import vector
 
-__all__ = ["History", "ParaView", "Run", "deformed_cells", "extent", "picture", "probe", "summary"]
+__all__ = ["History", "ParaView", "Probe", "Run", "deformed_cells", "extent", "picture", "summary"]
 
 Array = NDArray[np.float64]
 
@@ -278,30 +279,47 @@ class Run:
         return summary(self.problem, self.history, self.directory, self.parameters | parameters, self._rejected)
 
 
-def probe(u: fem.Function, X: Sequence[float], cells: NDArray[np.int32] | None = None) -> Array:
-    """u at reference point X (m), on every rank; where bodies share the point, in one of `cells` (this rank's).
+class Probe:
+    """The value of a Function at a reference point, on every rank: the point is looked up once, the value at each call.
+
+    Args:
+        u: the Function.
+        X: (gdim,) the point (m).
+        cells: this rank's cells, one of which is to hold it, where bodies share the point; any cell by default.
 
     Raises:
         ValueError: on every rank, if X is no point of the mesh's space or lies in no such cell.
     """
-    from dolfinx import geometry
 
-    mesh = u.function_space.mesh
-    point = np.zeros((1, 3))
-    point[0, : mesh.geometry.dim] = vector("X", X, mesh.geometry.dim)
-    owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
-    cells = owned if cells is None else np.intersect1d(cells, owned).astype(np.int32)
-    value = None
-    if len(cells):
+    def __init__(self, u: fem.Function, X: Sequence[float], cells: NDArray[np.int32] | None = None) -> None:
+        self._u, mesh = u, u.function_space.mesh
+        self._point = np.zeros((1, 3))
+        self._point[0, : mesh.geometry.dim] = vector("X", X, mesh.geometry.dim)
+        owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
+        cells = owned if cells is None else np.intersect1d(cells, owned).astype(np.int32)
+        self._cell, self._comm = self._hit(mesh, cells), mesh.comm
+        found = self._comm.allgather(len(self._cell) > 0)
+        if not any(found):
+            raise ValueError(f"X = {tuple(X)} lies in no cell of the mesh")
+        self._owner = found.index(True)
+
+    def _hit(self, mesh: Mesh, cells: NDArray[np.int32]) -> NDArray[np.int32]:
+        """(0 or 1,) a cell that holds the point."""
+        from dolfinx import geometry
+
+        if not len(cells):
+            return cells
         tree = geometry.bb_tree(mesh, mesh.topology.dim, entities=cells, padding=1e-12)
-        near = geometry.compute_collisions_points(tree, point)
-        hit = geometry.compute_colliding_cells(mesh, near, point).links(0)
-        if len(hit):
-            value = u.eval(point, hit[:1]).ravel()
-    found = [v for v in mesh.comm.allgather(value) if v is not None]
-    if not found:
-        raise ValueError(f"X = {tuple(X)} lies in no cell of the mesh")
-    return np.asarray(found[0])
+        near = geometry.compute_collisions_points(tree, self._point)
+        return np.asarray(geometry.compute_colliding_cells(mesh, near, self._point).links(0)[:1])
+
+    def __call__(self) -> Array:
+        """(components,) u at the point now (collective)."""
+        value = np.zeros(int(np.prod(self._u.ufl_shape)))
+        if self._comm.rank == self._owner:
+            value[:] = self._u.eval(self._point, self._cell).ravel()
+        self._comm.Bcast(value, root=self._owner)
+        return value
 
 
 def deformed_cells(u: fem.Function) -> Array | None:

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import basix
 import numpy as np
 from dolfinx import fem
-from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
+
+from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 
 __all__ = ["Piece", "connected", "floating_pieces", "pieces_of", "rigid_motions"]
 
@@ -60,15 +61,15 @@ def floating_pieces(V: fem.FunctionSpace, label: Index, prescribed: fem.Function
     pieces = []
     for number in sorted(set().union(*comm.allgather(set(map(int, label[:owned]))))):
         mine = label[:owned] == number
-        total = comm.allreduce(np.r_[mine.sum(), X[mine].sum(axis=0)], MPI.SUM)
-        centre = total[1:] / total[0]
-        size = np.sqrt(comm.allreduce(float(np.sum((X[mine] - centre) ** 2)), MPI.SUM) / total[0])
+        nodes = sum_over(comm, int(mine.sum()))
+        centre = sum_over(comm, X[mine].sum(axis=0)) / nodes
+        size = np.sqrt(sum_over(comm, float(np.sum((X[mine] - centre) ** 2))) / nodes)
         modes = rigid_motions((X - centre) / max(size, 1e-300)) * mine[:, None, None]  # (nodes, d, modes)
-        gram = comm.allreduce(modes[held].T @ modes[held], MPI.SUM) / total[0]
-        scale = comm.allreduce(float(np.abs(diagonal[mine]).max(initial=0.0)), MPI.MAX)
+        gram = sum_over(comm, modes[held].T @ modes[held]) / nodes
+        scale = max_over(comm, float(np.abs(diagonal[mine]).max(initial=0.0)))
         share, combinations = np.linalg.eigh(gram)
         free = (modes @ combinations[:, share < FREE]).reshape(owned * d, int(np.sum(share < FREE)))
-        if any(_energy(stiffness, mode) < FREE * scale * total[0] for mode in free.T):
+        if any(_energy(stiffness, mode) < FREE * scale * nodes for mode in free.T):
             pieces.append(Piece(centre, np.flatnonzero(label == number), number))
     return pieces
 
@@ -110,7 +111,7 @@ def _labels(V: fem.FunctionSpace) -> Index:
         np.maximum.at(largest, local, value[:, 0])
         changed = bool(np.any(largest[local] != value[:, 0]))
         value[:] = largest[local][:, None]
-        if not V.mesh.comm.allreduce(changed, MPI.LOR):
+        if not any_over(V.mesh.comm, changed):
             return value[:, 0].astype(np.int64)
         field.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
         field.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)

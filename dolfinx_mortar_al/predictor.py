@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot
+from dolfinx_mortar_al.reductions import sum_over
 
 __all__ = ["Predictor"]
 
@@ -107,7 +107,7 @@ class Predictor:
         best, least = 1, np.inf
         for order in range(1, min(MAX_ORDER + 1, len(self._states))):
             miss = state[member][name] - self._extrapolated(array, abscissa, order)
-            size = np.sqrt(self.problem.comm.allreduce(float(miss @ miss), MPI.SUM))
+            size = np.sqrt(sum_over(self.problem.comm, float(miss @ miss)))
             if size * BETTER < least:
                 best, least = order, size
         return best

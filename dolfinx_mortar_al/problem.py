@@ -28,6 +28,7 @@ from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector, matrix_with_pattern
 from dolfinx_mortar_al.pieces import Piece
 from dolfinx_mortar_al.ranks import agreed
+from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.surface import check_surfaces
 from dolfinx_mortar_al.ties import Bearing, Ties
@@ -256,7 +257,7 @@ class ContactProblem:
         """
         new = [pair.couples() for pair in self.pairs]
         grown = any(len(np.setdiff1d(n, seen, assume_unique=True)) for n, seen in zip(new, self._seen, strict=True))
-        if not self.comm.allreduce(grown, MPI.LOR):
+        if not any_over(self.comm, grown):
             return
         self._outgrown = True
         for k, pair in enumerate(self.pairs, start=1):
@@ -457,7 +458,7 @@ class ContactProblem:
         if not self.floating:
             return []
         here = np.array([(pair.active.closed.any(), pair.was_in_contact()) for pair in self.pairs], dtype=int)
-        now, before = self.comm.allreduce(here.reshape(-1, 2), MPI.SUM).T > 0
+        now, before = sum_over(self.comm, here.reshape(-1, 2)).T > 0
         found = []
         for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
             for piece in body.floating:
@@ -495,7 +496,7 @@ class ContactProblem:
         (collective)."""
         if self.ties is not None:
             pressed = [float(np.sum(pair.j * pair.state.p)) for pair in self.pairs]
-            self.ties.measure(response, self._rubbing, self.comm.allreduce(np.array(pressed)) @ np.array(self._touched))
+            self.ties.measure(response, self._rubbing, sum_over(self.comm, np.array(pressed)) @ np.array(self._touched))
 
     def _relative(self, motions: Array) -> list[Array]:
         """(n, motions, gdim) velocities of each pair's points relative to what they face that displacements (owned dofs,
@@ -520,7 +521,7 @@ class ContactProblem:
                 v = v - np.einsum("nkd,nd,ne->nke", v, pair.at.ν, pair.at.ν)
                 total += np.einsum("n,nkd,nld->kl", weight, v, v)
             pressed += float(weight.sum())
-        return np.asarray(self.comm.allreduce(total) / max(self.comm.allreduce(pressed), 1e-300))
+        return np.asarray(sum_over(self.comm, total) / max(sum_over(self.comm, pressed), 1e-300))
 
     def _holding(self, motions: Array) -> Array:
         """(motions, motions) mean over the area that faces a target of 𝐦⊗𝐦 where it touches, the relative velocities that
@@ -532,7 +533,7 @@ class ContactProblem:
                 v = np.einsum("nkd,nd->nk", v, pair.at.ν)[:, :, None]
             total += np.einsum("n,nkd,nld->kl", area * pair.touches(), v, v)
             faced += float(area.sum())
-        return np.asarray(self.comm.allreduce(total) / max(self.comm.allreduce(faced), 1e-300))
+        return np.asarray(sum_over(self.comm, total) / max(sum_over(self.comm, faced), 1e-300))
 
     def ties_bear(self) -> Bearing:
         """What ties bear, as shares of the contact forces on each piece, of the largest in this solve: what one side alone
@@ -581,19 +582,19 @@ class ContactProblem:
 
     def unsupported(self) -> bool:
         """Whether some piece may float while some pair is open all over (collective)."""
-        closed = [self.comm.allreduce(bool(pair.active.closed.any()), MPI.LOR) for pair in self.pairs]
+        closed = [any_over(self.comm, pair.active.closed.any()) for pair in self.pairs]
         return bool(self.floating) and not all(closed)
 
     def longest_motion(self, du: Array) -> float:
         """Largest change of a node's position in `du` (owned dofs,), in target facets (collective)."""
         nodal = np.linalg.norm(du.reshape(-1, self.gdim), axis=1)
         size = min((pair.target.size for pair in self.pairs), default=np.inf)
-        return float(self.comm.allreduce(float(nodal.max(initial=0.0)), MPI.MAX)) / size
+        return max_over(self.comm, float(nodal.max(initial=0.0))) / size
 
     def contact_pattern(self) -> int:
         """A number that changes with the open/slip/stick state of any point on any rank (collective)."""
         mine = hash(tuple(pair.state.status.tobytes() for pair in self.pairs)) >> 8
-        return int(self.comm.allreduce(mine, MPI.SUM))
+        return int(sum_over(self.comm, mine))
 
     def flipping_points(self) -> str:
         """Where the law disagrees with the active set, in words (collective)."""

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from dolfinx import fem
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al import stepping, validation
@@ -20,6 +19,7 @@ from dolfinx_mortar_al.newton import NO_PROGRESS, NewtonSolver, Path
 from dolfinx_mortar_al.predictor import Predictor
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.ranks import agreed
+from dolfinx_mortar_al.reductions import all_over, max_over, sum_over
 from dolfinx_mortar_al.stepping import Attempt, Bar, Controller, Event, StepFailure
 
 __all__ = ["Stage", "Step", "StepFailure", "follow", "march"]
@@ -259,7 +259,7 @@ def _legs(problem: ContactProblem, stages: Sequence[Stage], start: float | None)
 
 def _alike(problem: ContactProblem, a: Array, b: Array) -> bool:
     """Whether two values of a load are the same on all ranks (collective)."""
-    return bool(problem.comm.allreduce(np.array_equal(a, b), MPI.LAND))
+    return all_over(problem.comm, np.array_equal(a, b))
 
 
 # ---------------------------------------------------------------- controllers
@@ -374,7 +374,7 @@ class _LoadControl(Controller[Step]):
         scale = 0.0
         if leg.load is last.load:
             a, b = last.end - last.begin, leg.end - leg.begin
-            aa, ab, bb = self.problem.comm.allreduce(np.array([a @ a, a @ b, b @ b]))
+            aa, ab, bb = sum_over(self.problem.comm, np.array([a @ a, a @ b, b @ b]))
             if ab > 0.0 and ab**2 >= (1.0 - PARALLEL) * aa * bb:
                 scale = float(aa / ab)
         self._predictor.turn(scale)
@@ -417,7 +417,7 @@ class _PathControl(Controller[Step]):
     def _largest(self, u: Array) -> float:
         """Largest displacement of a node (m), collective."""
         nodal = np.linalg.norm(u.reshape(-1, self.problem.gdim), axis=1)
-        return float(self.problem.comm.allreduce(float(nodal.max(initial=0.0)), MPI.MAX))
+        return max_over(self.problem.comm, float(nodal.max(initial=0.0)))
 
     @property
     def finished(self) -> bool:

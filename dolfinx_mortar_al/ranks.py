@@ -1,4 +1,4 @@
-"""How ranks fail: together, with one message, or the run ends.
+"""What ranks have to do alike: share out a mesh, and fail, together, with one message, or the run ends.
 
 A failure that one rank alone notices leaves the others waiting for it in their next collective call. Whatever one rank does
 for all, or each for itself, therefore goes through :func:`on_root` or :func:`together`, which let all ranks know and raise
@@ -18,13 +18,19 @@ from typing import Any, TypeVar
 
 from mpi4py import MPI
 
-__all__ = ["agreed", "end_together", "on_root", "together"]
+__all__ = ["agreed", "end_together", "on_root", "share_out_alike", "together"]
 
 Result = TypeVar("Result")
 
 OPT_OUT = "DOLFINX_MORTAR_AL_NO_ABORT"  # environment variable that keeps `end_together` from installing its hook
 PATIENCE = 2.0  # s that a rank with an exception waits for the others to fail, too, before it ends the job
 TAG = 29876  # of the hook's messages: any that nobody else uses
+
+
+def share_out_alike() -> None:
+    """From now on a mesh is partitioned alike in each run on as many ranks, as checkpoints need it and results to the last
+    digit do: PT-Scotch works with threads whose race decides (``docs/parallel.md``), unless it is told to use one."""
+    os.environ.setdefault("SCOTCH_PTHREAD_NUMBER", "1")
 
 
 def on_root(comm: MPI.Comm, action: Callable[[], Result]) -> Result:

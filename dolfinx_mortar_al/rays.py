@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 
 import numpy as np
 from basix import CellType
@@ -20,7 +21,7 @@ from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot
 from dolfinx_mortar_al.search import BULGE, across, candidates
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions, surface_normal
 
-__all__ = ["RayHit", "cast", "extend", "hits"]
+__all__ = ["Hits", "RayHit", "cast", "extend", "hits"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -33,6 +34,23 @@ FACING = 0.1  # least cosine between ray and target's normal: flatter hits have 
 DEEP = 0.5
 BEYOND = 1.0  # how far beyond the sides of a facet at the target's end, in η, it may go on while a solve is on its way
 MAX_ITERATIONS = 12  # of Newton for the hit on a curved facet; five do, unless the ray all but touches the facet
+
+
+@dataclass
+class Hits:
+    """Meetings of lines with facets: `row` (m,) of a line, `facet` (m,) and η (m, dim), signed distance d (m,) along the
+    line, in m, and the facet's shape functions there, N (m, nodes) and dN (m, dim, nodes)."""
+
+    row: Index
+    facet: Index
+    η: Array
+    d: Array
+    N: Array
+    dN: Array
+
+    def take(self, which: Index | NDArray[np.bool_]) -> Hits:
+        """Some of them."""
+        return Hits(self.row[which], self.facet[which], self.η[which], self.d[which], self.N[which], self.dN[which])
 
 
 @dataclass
@@ -65,31 +83,42 @@ def cast(
         couples: rays (m,), ascending, and facets (m,) that they may meet.
         depth: (n,) penetration (m) beyond which a hit behind the contactor does not count, in place of the closest points.
     """
-    row, facet, η, d = hits(target.shape, positions[target.facets], x, normal, *couples)
-    opposed = _is_opposed(target, positions, facet, η, normal[row])
+    found = hits(target.shape, positions[target.facets], x, normal, *couples)
+    opposed = _is_opposed(target, positions, found, normal)
     if depth is not None:
-        opposed &= d >= -depth[row]
-    row, facet, η, d = row[opposed], facet[opposed], η[opposed], d[opposed]
+        opposed &= found.d >= -depth[found.row]
+    found = found.take(opposed)
 
-    nearest = _first_of_each(row, np.abs(d))
+    nearest = _first_of_each(found.row, np.abs(found.d))
     limit = DEEP * target.size_of_facets
-    deep = nearest[d[nearest] < -limit] if depth is None else nearest[:0]
+    deep = nearest[found.d[nearest] < -limit] if depth is None else nearest[:0]
     if len(deep):
-        outside = row[deep][~_is_inside(target, positions, x[row[deep]], FACING * -d[deep])]
-        real = ~(np.isin(row, outside) & (d < 0))
-        row, facet, η, d = row[real], facet[real], η[real], d[real]
-        nearest = _first_of_each(row, np.abs(d))
+        rays = found.row[deep]
+        outside = rays[~_is_inside(target, positions, x[rays], FACING * -found.d[deep])]
+        found = found.take(~(np.isin(found.row, outside) & (found.d < 0)))
+        nearest = _first_of_each(found.row, np.abs(found.d))
+    found = found.take(nearest)  # by rows
+    if len(found.row) < len(x):
+        found, facing = _with_the_rest(found, target.shape, len(x), positions)
+    else:
+        facing = np.ones(len(x), dtype=bool)
+    nodes = positions[target.facets[found.facet]]
+    y, a = combine(found.N, nodes), found.dN @ nodes
+    return RayHit(TargetPoint(found.facet, found.η), facing, found.N, found.dN, y, a, -normal, -found.d, tangents)
 
-    n = len(x)
+
+def _with_the_rest(found: Hits, shape: ShapeFunctions, n: int, positions: Array) -> tuple[Hits, NDArray[np.bool_]]:
+    """A hit for each of n rays, and (n,) whether it is one: those that meet nothing have the middle of facet 0, at a distance
+    that is no gap."""
     facing = np.zeros(n, dtype=bool)
-    facing[row[nearest]] = True
-    point = TargetPoint(np.zeros(n, dtype=np.int64), np.repeat(target.shape.corners.mean(axis=0)[None], n, axis=0))
-    g = np.full(n, -float(np.linalg.norm(np.ptp(positions, axis=0))))  # a gap that is none: nothing is faced
-    point.facet[row[nearest]], point.η[row[nearest]], g[row[nearest]] = facet[nearest], η[nearest], -d[nearest]
-
-    N, dN = target.shape.tabulate(point.η, 1)
-    nodes = positions[target.facets[point.facet]]
-    return RayHit(point, facing, N, dN, combine(N, nodes), dN @ nodes, -normal, g, tangents)
+    facing[found.row] = True
+    middle = shape.corners.mean(axis=0)[None]
+    N, dN = (np.repeat(table, n, axis=0) for table in shape.tabulate(middle, 1))
+    far = np.full(n, float(np.linalg.norm(np.ptp(positions, axis=0))))
+    every = Hits(np.arange(n), np.zeros(n, dtype=np.int64), np.repeat(middle, n, axis=0), far, N, dN)
+    for whole, part in zip(vars(every).values(), vars(found).values(), strict=True):
+        whole[found.row] = part
+    return every, facing
 
 
 def extend(at: RayHit, target: GatheredFacets, positions: Array, x: Array, which: Index, near: Index) -> Index:
@@ -97,22 +126,20 @@ def extend(at: RayHit, target: GatheredFacets, positions: Array, x: Array, which
     beyond its sides, by BEYOND of its size at most: the one that the ray misses by least. Returns those that do."""
     normal, nodes = -at.ν[which], positions[target.facets]
     couples = np.repeat(np.arange(len(which)), near.shape[1]), near.ravel()
-    row, facet, η, d = hits(target.shape, nodes, x[which], normal, *couples, beyond=BEYOND)
-    opposed = np.flatnonzero(_is_opposed(target, positions, facet, η, normal[row]))
-    missed = -_inside_by(η[opposed], len(target.shape.corners) == 3)
-    first = opposed[_first_of_each(row[opposed], missed)]
-    held, facet, η = which[row[first]], facet[first], η[first]
-    at.point.facet[held], at.point.η[held], at.facing[held], at.g[held] = facet, η, True, -d[first]
-    N, dN = target.shape.tabulate(η, 1)
-    at.N[held], at.dN[held], at.a[held], at.y[held] = N, dN, dN @ nodes[facet], combine(N, nodes[facet])
+    found = hits(target.shape, nodes, x[which], normal, *couples, beyond=BEYOND)
+    found = found.take(_is_opposed(target, positions, found, normal))
+    missed = -_inside_by(found.η, len(target.shape.corners) == 3)
+    found = found.take(_first_of_each(found.row, missed))
+    held, own = which[found.row], nodes[found.facet]
+    at.point.facet[held], at.point.η[held], at.facing[held], at.g[held] = found.facet, found.η, True, -found.d
+    at.N[held], at.dN[held], at.a[held], at.y[held] = found.N, found.dN, found.dN @ own, combine(found.N, own)
     return np.asarray(held)
 
 
-def _is_opposed(target: GatheredFacets, positions: Array, facet: Index, η: Array, normal: Array) -> NDArray[np.bool_]:
-    """(m,) whether the target's normal at η (m, dim) of facets (m,) opposes rays along `normal` (m, gdim)."""
-    a = target.shape.tabulate(η, 1)[1] @ positions[target.facets[facet]]
-    m = surface_normal(a) * target.orientation[facet, None]
-    return np.asarray(dot(m, normal) < -FACING * np.linalg.norm(m, axis=1))
+def _is_opposed(target: GatheredFacets, positions: Array, found: Hits, normal: Array) -> NDArray[np.bool_]:
+    """(m,) whether the target's normal at hits opposes their rays, along `normal` (n, gdim)."""
+    m = surface_normal(found.dN @ positions[target.facets[found.facet]]) * target.orientation[found.facet, None]
+    return np.asarray(dot(m, normal[found.row]) < -FACING * np.sqrt(dot(m, m)))
 
 
 def _inside_by(η: Array, triangle: bool) -> Array:
@@ -129,11 +156,10 @@ def hits(
     row: Index,
     facet: Index,
     beyond: float = EDGE,
-) -> tuple[Index, Index, Array, Array]:
+) -> Hits:
     """All meetings of the lines through 𝐱 (n, gdim) along `normal` with facets, from the couples (row, facet).
 
-    `nodes` (nf, k, gdim) are the facets' nodes; meetings count up to `beyond` their sides. Returns row, facet, η (m, dim)
-    and the signed distance d (m,) of each.
+    `nodes` (nf, k, gdim) are the facets' nodes; meetings count up to `beyond` their sides.
     """
     axes = np.swapaxes(across(normal), 1, 2).copy()
     c = (nodes[facet] - x[row, None]) @ axes[row]  # the line is the origin
@@ -141,10 +167,10 @@ def hits(
     if beyond <= EDGE:  # otherwise facets leave their nodes' box
         near = _may_meet(shape, c)
         row, facet, c = row[near], facet[near], c[:, :, near]
-    which, η = _on_curve(shape, c[0].T, beyond) if shape.dim == 1 else _on_patch(shape, c, beyond)
+    which, η = _on_curve(shape, c[0], beyond) if shape.dim == 1 else _on_patch(shape, c, beyond)
     row, facet = row[which], facet[which]
-    d = dot(combine(shape.tabulate(η)[0], nodes[facet]) - x[row], normal[row])
-    return row, facet, η, d
+    N, dN = shape.tabulate(η, 1)
+    return Hits(row, facet, η, dot(combine(N, nodes[facet]) - x[row], normal[row]), N, dN)
 
 
 def _may_meet(shape: ShapeFunctions, c: Array) -> NDArray[np.bool_]:
@@ -164,17 +190,16 @@ def _may_meet(shape: ShapeFunctions, c: Array) -> NDArray[np.bool_]:
 
 
 def _on_curve(shape: ShapeFunctions, c: Array, beyond: float) -> tuple[Index, Array]:
-    """Roots of Σ_k N_k(η) c_k on [0, 1], or up to `beyond` it: which row of c (m, k) each is of, and η (·, 1)."""
-    powers = shape.nodes ** np.arange(shape.order + 1)  # (k, k): monomials at the nodes
-    coefficients = c @ np.linalg.inv(powers).T
-    a0, a1 = coefficients[:, 0], coefficients[:, 1]
-    a2 = coefficients[:, 2] if shape.order > 1 else np.zeros_like(a0)
-    discriminant = a1**2 - 4 * a2 * a0
-    q = -0.5 * (a1 + np.where(a1 >= 0, 1.0, -1.0) * np.sqrt(np.maximum(discriminant, 0.0)))
+    """Roots of Σ_k N_k(η) c_k on [0, 1], or up to `beyond` it: which column of c (k, m) each is of, and η (·, 1)."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        roots = np.stack([a0 / q, q / a2])  # the second is infinite or far where the curve is straight
-    with np.errstate(invalid="ignore"):
-        good = np.isfinite(roots) & (discriminant >= 0) & (roots >= -beyond) & (roots <= 1 + beyond)
+        if shape.order == 1:
+            roots = (c[0] / (c[0] - c[1]))[None]
+        else:
+            a0, a1, a2 = _monomials(shape.cell, shape.order)[1] @ c
+            discriminant = a1**2 - 4 * a2 * a0
+            q = -0.5 * (a1 + np.where(a1 >= 0, 1.0, -1.0) * np.sqrt(discriminant))
+            roots = np.stack([a0 / q, q / a2])  # the second is infinite or far where the curve is straight
+        good = (roots >= -beyond) & (roots <= 1 + beyond)  # false where there is none
     η = np.clip(roots[good], EDGE - beyond, 1.0 + beyond - EDGE)
     return np.nonzero(good)[1], η[:, None]
 
@@ -207,10 +232,13 @@ def _on_patch(shape: ShapeFunctions, c: Array, beyond: float) -> tuple[Index, Ar
 
 @cache
 def _monomials(cell: CellType, order: int) -> tuple[Index, Array]:
-    """Exponents (2, k) of the monomials that shape functions of a patch are made of, and the matrix (k, k) from values at the
+    """Exponents (dim, k) of the monomials that a facet's shape functions are made of, and the matrix (k, k) from values at
     nodes to their coefficients."""
-    powers = [(i, j) for i in range(order + 1) for j in range(order + 1) if cell != CellType.triangle or i + j <= order]
-    exponents, nodes = np.array(powers).T, ShapeFunctions(cell, order).nodes
+    nodes = ShapeFunctions(cell, order).nodes
+    powers = [
+        p for p in product(range(order + 1), repeat=nodes.shape[1]) if cell != CellType.triangle or sum(p) <= order
+    ]
+    exponents = np.array(powers).T
     return exponents, np.linalg.inv((nodes[:, :, None] ** exponents).prod(axis=1))
 
 

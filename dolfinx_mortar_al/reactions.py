@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.bodies import BodyForms
 from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.surface import Facets, Surface
 from dolfinx_mortar_al.validation import vector
 
@@ -58,7 +59,7 @@ def reaction(
     R = (problem.support_forces()[k] * held).reshape(-1, d)
     arm = body.positions() - origin
     spin = arm[:, 0] * R[:, 1] - arm[:, 1] * R[:, 0] if d == 2 else np.cross(arm, R)
-    total = problem.comm.allreduce(np.concatenate([R.sum(axis=0), np.atleast_1d(spin.sum(axis=0))]))
+    total = sum_over(problem.comm, np.concatenate([R.sum(axis=0), np.atleast_1d(spin.sum(axis=0))]))
     return Reaction(total[:d], total[d:])
 
 
@@ -82,6 +83,6 @@ def _of_surface(problem: ContactProblem, surface: Surface) -> tuple[BodyForms, A
     on.x.scatter_reverse(InsertMode.add)
     n = body.owned * d
     held = np.asarray((on.x.array[:n] > 0) & (body.prescribed().x.array[:n] > 0)).astype(np.float64)
-    if problem.comm.allreduce(float(held.sum())) == 0:
+    if sum_over(problem.comm, float(held.sum())) == 0:
         raise ValueError(f"at: nothing is prescribed on the surface of tag {surface.tag}, so that it has no reaction")
     return body, held

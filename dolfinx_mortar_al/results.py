@@ -15,6 +15,7 @@ from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, LawState
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.projection import Projection
+from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.segments import Segments
 from dolfinx_mortar_al.targets import Target
 
@@ -102,21 +103,21 @@ class PairResults:
 
     def force(self) -> Array:
         """(gdim,) resultant of the contact tractions on the contactor (N), collective."""
-        return np.asarray(self.comm.allreduce(self.j @ self.kinematics.traction(self.state)))
+        return np.asarray(sum_over(self.comm, self.j @ self.kinematics.traction(self.state)))
 
     def moment(self, about: Sequence[float]) -> Array:
         """Moment of the contact tractions on the contactor about a point (N m; 3 components, or 1 in the plane),
         collective. A rigid obstacle feels the opposite, as it does of :meth:`force`."""
         arm, t = self.kinematics.x - np.asarray(about), self.j[:, None] * self.kinematics.traction(self.state)
         if self.gdim == 3:
-            return np.asarray(self.comm.allreduce(np.cross(arm, t).sum(axis=0)))
-        return np.atleast_1d(self.comm.allreduce(float(np.sum(arm[:, 0] * t[:, 1] - arm[:, 1] * t[:, 0]))))
+            return np.asarray(sum_over(self.comm, np.cross(arm, t).sum(axis=0)))
+        return np.atleast_1d(sum_over(self.comm, float(np.sum(arm[:, 0] * t[:, 1] - arm[:, 1] * t[:, 0]))))
 
     def stored_energy(self) -> float:
         """∫ (p² − λ_N²)/(2ε_N) dS₀ (J), collective: what the augmentation holds where facets are partly closed. It is the
         potential of the normal contact forces, convex in the gaps and zero where nothing touches."""
         density = (self.state.p**2 - self._normal_multiplier() ** 2) / (2 * self.epsilon.normal)
-        return float(self.comm.allreduce(float(self.j @ density)))
+        return sum_over(self.comm, float(self.j @ density))
 
     def _normal_multiplier(self) -> Array:
         """(n,) λ_N at the points (Pa)."""
@@ -125,24 +126,24 @@ class PairResults:
     def penetration(self) -> float:
         """Largest penetration of a closed point (m), collective."""
         deep = self.kinematics.faced.g[self.state.status != OPEN]
-        return float(self.comm.allreduce(float(deep.max(initial=0.0)), MPI.MAX))
+        return max_over(self.comm, float(deep.max(initial=0.0)))
 
     def nodal_forces(self) -> float:
         """Norm of the contactor's nodal contact forces ∫ N |t| (N), collective: the scale of both residuals."""
         size = self.j * np.linalg.norm(self.state.t, axis=1)
         nodal = self.integration.sum_by_facet(size[:, None] * np.abs(self.integration.N))
-        return float(np.sqrt(self.comm.allreduce(float(np.sum(nodal**2)))))
+        return float(np.sqrt(sum_over(self.comm, float(np.sum(nodal**2)))))
 
     def largest_pressure(self) -> float:
         """Largest nominal contact pressure at an integration point (Pa), collective."""
-        return float(self.comm.allreduce(float(self.state.p.max(initial=0.0)), MPI.MAX))
+        return max_over(self.comm, float(self.state.p.max(initial=0.0)))
 
     def contact_area(self) -> float:
         """Current area of the closed part of the contactor (m²; length × thickness in the plane), collective."""
         points = self.integration
         current = np.linalg.norm(points.normals(points.tangents(self.kinematics.nodes())), axis=1)
         area = (points.weight * points.thickness * current)[self.state.status != OPEN]
-        return float(self.comm.allreduce(float(area.sum())))
+        return sum_over(self.comm, float(area.sum()))
 
     def closed_fraction(self) -> float:
         """Closed part of the contactor's reference area, collective."""
@@ -153,7 +154,7 @@ class PairResults:
         return self._share(self.state.status == STICK)
 
     def _share(self, points: NDArray[np.bool_]) -> float:
-        return float(self.comm.allreduce(float(self.j[points].sum()))) / self.area
+        return sum_over(self.comm, float(self.j[points].sum())) / self.area
 
     def coarse_integration(self) -> Finding | None:
         """Where closed Gauss points lie farther apart than the target facets they face are long (collective)."""
@@ -180,7 +181,7 @@ class PairResults:
         extents = facets.areas() ** (1.0 / facets.shape.dim)
         own = self.multiplier.shape.spacing * extents[self.integration.facet[closed]]
         theirs = self.target.spacing * self.target.extents[self.at.point.facet[closed]]
-        mine, others = self.comm.allreduce(np.array([j @ own, j @ theirs]), MPI.SUM)
+        mine, others = sum_over(self.comm, np.array([j @ own, j @ theirs]))
         ratio = float(mine / others) if others > 0 else 1.0
         return (
             Finding(f"{self.name}: multiplier's spacing over the target's", ratio, (), FINE, False)
@@ -210,7 +211,7 @@ class PairResults:
         mine = (float(depth[k]), tuple(self.points()[closed[k]].tolist())) if len(depth) else (-np.inf, ())
         value, X = max(self.comm.allgather(mine))
         by_overlap = j @ np.abs(g) * self.epsilon.normal
-        borne, total = self.comm.allreduce(np.array([by_overlap, j @ self.state.p[closed]]), MPI.SUM)
+        borne, total = sum_over(self.comm, np.array([by_overlap, j @ self.state.p[closed]]))
         if value < OVERLAPS or borne < BY_OVERLAP * total:
             return None
         return Finding(f"{self.name}: overlap in contact (facets)", value, X, DEEP, False)
@@ -229,4 +230,4 @@ class PairResults:
         closed = self.state.status != OPEN
         facets = self.target.facets[self.at.point.facet]
         at_end = self._last_points() | (np.einsum("nk,nk->n", self.at.N, self.target.end_nodes[facets]) > 1 - AT_END)
-        return bool(self.comm.allreduce(bool((closed & at_end).any()), MPI.LOR))
+        return any_over(self.comm, (closed & at_end).any())

@@ -140,7 +140,7 @@ def ray_candidates(x: Array, normal: Array, facets: Array, margin: float) -> tup
 def across(normal: Array) -> Array:
     """(n, dim, gdim) orthonormal vectors normal to `normal` (n, gdim)."""
     if normal.shape[1] == 2:
-        return np.stack([-normal[:, 1], normal[:, 0]], axis=1)[:, None]
+        return np.asarray(normal[:, None, ::-1] * np.array([-1.0, 1.0]))
     first = np.cross(np.eye(3)[np.argmin(np.abs(normal), axis=1)], normal)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, np.cross(normal, first)], axis=1)

@@ -138,13 +138,12 @@ def _far_side(outer: GatheredFacets, x: Array, normal: Array) -> tuple[TargetPoi
     """Where the rays from 𝐱 (n, gdim) against `normal` leave the undeformed body through its boundary, and (n,) whether one
     was found."""
     nodes = outer.X[outer.facets]
-    row, facet, η, d = hits(outer.shape, nodes, x, normal, *ray_candidates(x, normal, nodes, 0.0)[:2])
-    behind = d < -1e-9 * outer.size_of_facets
-    row, facet, η, d = row[behind], facet[behind], η[behind], d[behind]
-    order = np.lexsort([-d, row])
-    first = order[np.r_[True, np.diff(row[order]) > 0]] if len(order) else order
+    found = hits(outer.shape, nodes, x, normal, *ray_candidates(x, normal, nodes, 0.0)[:2])
+    found = found.take(found.d < -1e-9 * outer.size_of_facets)
+    order = np.lexsort([-found.d, found.row])
+    first = found.take(order[np.r_[True, np.diff(found.row[order]) > 0]] if len(order) else order)
     point = TargetPoint(np.zeros(len(x), dtype=np.int64), np.zeros((len(x), outer.shape.dim)))
-    found = np.zeros(len(x), dtype=bool)
-    found[row[first]] = True
-    point.facet[row[first]], point.η[row[first]] = facet[first], η[first]
-    return point, found
+    leaves = np.zeros(len(x), dtype=bool)
+    leaves[first.row] = True
+    point.facet[first.row], point.η[first.row] = first.facet, first.η
+    return point, leaves

@@ -269,7 +269,8 @@ class StepLevel(Kinematics):
         δw = np.broadcast_to(δr, (n, d, z))
         if not self.target.is_rigid:
             lever, δa = Lever(*(v[act] for v in vars(self.lever).values())), slots.derivatives("x")
-            δw = δw - lever.carry_map(δa) - lever.vary_carry(self._Δa[act], δa / 2, δr / 2)
+            varied = lever.vary(δa / 2, δr / 2)  # the lever is that of the middle
+            δw = δw - lever.carry_map(δa) - lever.vary_carry(self._Δa[act], varied)
         δg = vary_gap(self.end.take(act), slots, "w_e")
         δ = Variation(np.zeros((n, 0, z)), δg, np.zeros((n, d, z)), slots.multiplier_slot()[None], δw)
         δt, δresidual = law.linearise(state, Λ, at, None if self.s is None else w, δ)
@@ -282,7 +283,7 @@ class StepLevel(Kinematics):
         C = np.stack([-δF, δF], axis=1)
         if not self.target.is_rigid:
             F = self._total(state, act)
-            on_tangents = lever.transposed_map(δF) + lever.vary_transposed(F, δa / 2, δr / 2)
+            on_tangents = lever.transposed_map(δF) + lever.vary_transposed(F, varied)
             C = np.concatenate([C, on_tangents], axis=1)
         return C, δresidual
 

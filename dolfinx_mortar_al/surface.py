@@ -16,9 +16,9 @@ import basix
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
-from mpi4py import MPI
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.reductions import max_over, sum_over
 from dolfinx_mortar_al.validation import are_tags_of, vector, whole
 
 if TYPE_CHECKING:
@@ -86,14 +86,14 @@ class Surface:
         facets = self.tags.find(int(self.tag))
         facets = facets[facets < self.mesh.topology.index_map(dim).size_local]
         comm = self.mesh.comm
-        if comm.allreduce(len(facets)) == 0:
+        if sum_over(comm, len(facets)) == 0:
             known = sorted(set().union(*comm.allgather(set(self.tags.values.tolist()))))
             raise ValueError(f"tag {self.tag} marks no {kind[:-1]}; the tags of this mesh are {known}")
         if not self.is_membrane:
             self.mesh.topology.create_connectivity(dim, dim + 1)
             # a facet with one cell on this rank may have another on the next
             inner = int(np.sum(~np.isin(facets, mesh.exterior_facet_indices(self.mesh.topology))))
-            if comm.allreduce(inner):
+            if sum_over(comm, inner):
                 raise ValueError(
                     f"tag {self.tag} marks facets between two cells; a contact surface lies on the boundary"
                 )
@@ -170,8 +170,7 @@ class ShapeFunctions:
 def surface_normal(tangents: Array) -> Array:
     """a₁ × a₂ (3D) or a₁ turned by −90° (2D), not normalised: (…, dim, gdim) to (…, gdim)."""
     if tangents.shape[-1] == 2:
-        a = tangents[..., 0, :]
-        return np.stack([a[..., 1], -a[..., 0]], axis=-1)
+        return np.asarray(tangents[..., 0, ::-1] * np.array([1.0, -1.0]))
     return np.asarray(np.cross(tangents[..., 0, :], tangents[..., 1, :]), dtype=np.float64)
 
 
@@ -225,12 +224,12 @@ class Facets:
             outward = X.mean(axis=1) - x[V.dofmap.list[cells]].mean(axis=1)
         normal = surface_normal(tangents)
         areas, comm = _areas(shape, X), surface.mesh.comm
-        largest = comm.allreduce(float(areas.max(initial=0.0)), MPI.MAX)
-        if comm.allreduce(int(np.sum(~(areas > 1e-10 * largest)))):
+        largest = max_over(comm, float(areas.max(initial=0.0)))
+        if sum_over(comm, int(np.sum(~(areas > 1e-10 * largest)))):
             raise ValueError(f"tag {surface.tag} marks facets without area: mesh the surface again")
         cosine = np.einsum("fi,fi->f", normal, outward)
         flat = np.abs(cosine) <= 1e-6 * np.linalg.norm(normal, axis=1) * np.linalg.norm(outward, axis=1)
-        if surface.mesh.comm.allreduce(int(flat.sum())):
+        if sum_over(surface.mesh.comm, int(flat.sum())):
             raise ValueError(f"side = {surface.side} lies in the plane of the membrane of tag {surface.tag} somewhere")
         return cls(V, entities, shape, dofs, X, np.sign(cosine))
 
@@ -394,7 +393,7 @@ def check_surfaces(contacts: Sequence[Contact]) -> None:
     def share(a: Surface, b: Any, of_a: Any, of_b: Any) -> bool:
         if not isinstance(b, Surface):
             return False
-        return a.mesh is b.mesh and a.mesh.comm.allreduce(len(np.intersect1d(of_a, of_b))) > 0
+        return a.mesh is b.mesh and sum_over(a.mesh.comm, len(np.intersect1d(of_a, of_b))) > 0
 
     for i, (first, (contactor, target)) in enumerate(zip(contacts, own, strict=True)):
         a, b = first.contactor, _other(first)

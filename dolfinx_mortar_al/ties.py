@@ -19,11 +19,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.pieces import rigid_motions
+from dolfinx_mortar_al.reductions import sum_over
 
 __all__ = ["Bearing", "Ties"]
 
@@ -87,7 +87,7 @@ class Ties:
         self._bodies, d = bodies, bodies.gdim
         self._piece, self._prescribed = bodies.piece_of_dof[::d], bodies.prescribed().reshape(-1, d)
         each = np.stack([np.ones(len(self._piece)), diagonal.reshape(-1, d).mean(axis=1)])
-        count, total = bodies.comm.allreduce(self._by_piece(each.T), MPI.SUM).T
+        count, total = sum_over(bodies.comm, self._by_piece(each.T)).T
         self._nodes = np.maximum(count, 1.0)
         # n springs of k at n nodes: k n^(2/d) is what a body resists a deformation of its size with, k its nodes' stiffness
         self._k = STIFFNESS * total / self._nodes ** (1.0 + 2.0 / d)
@@ -174,7 +174,7 @@ class Ties:
             return np.zeros(0), []
         R = self._rigid_motions()
         fixed = R * self._prescribed[:, :, None]
-        gram = self._bodies.comm.allreduce(self._by_piece(np.swapaxes(fixed, 1, 2) @ fixed), MPI.SUM)
+        gram = sum_over(self._bodies.comm, self._by_piece(np.swapaxes(fixed, 1, 2) @ fixed))
         square, axes = np.linalg.eigh(gram[self._pieces])
         return R, [v[:, s < HELD**2] for s, v in zip(square, axes, strict=True)]
 
@@ -193,7 +193,7 @@ class Ties:
                 continue
             m = self._of(p, R) @ basis
             u = np.stack([response(column) for column in m.T], axis=1)
-            resistance = np.linalg.pinv(self._bodies.comm.allreduce(m.T @ u, MPI.SUM))
+            resistance = np.linalg.pinv(sum_over(self._bodies.comm, m.T @ u))
             resists, axes = np.linalg.eigh((resistance + resistance.T) / 2)
             deformation = self._nodes[p] * np.diag(axes.T @ resistance.T @ self._deformation(R, u) @ resistance @ axes)
             stiff = (deformation > DEFORMS**2) & (resists > geometric[p])
@@ -206,20 +206,20 @@ class Ties:
         beside the rigid motions R (collective)."""
         u = u.reshape(len(self._piece), -1, u.shape[1])
         mean = self._by_piece(np.swapaxes(R, 1, 2) @ u) / self._nodes[:, None, None]
-        u = u - R @ self._bodies.comm.allreduce(mean, MPI.SUM)[self._piece]
+        u = u - R @ sum_over(self._bodies.comm, mean)[self._piece]
         square = self._by_piece(np.swapaxes(u, 1, 2) @ u) / self._nodes[:, None, None]
-        return np.asarray(self._bodies.comm.allreduce(square.sum(axis=0), MPI.SUM))
+        return np.asarray(sum_over(self._bodies.comm, square.sum(axis=0)))
 
     def _offsets(self) -> Array:
         """(owned nodes, gdim) of the nodes from the middle of their piece, at the present positions (m, collective)."""
         b, d = self._bodies, self._bodies.gdim
         x = b.owned_positions() + b.get().reshape(-1, d)
-        return np.asarray(x - (b.comm.allreduce(self._by_piece(x), MPI.SUM) / self._nodes[:, None])[self._piece])
+        return np.asarray(x - (sum_over(b.comm, self._by_piece(x)) / self._nodes[:, None])[self._piece])
 
     def _sizes(self) -> Array:
         """(pieces,) distance of a piece's nodes from its middle, root of the mean square (m, collective)."""
         square = self._by_piece((self._offsets() ** 2).sum(axis=1))
-        return np.asarray(np.sqrt(self._bodies.comm.allreduce(square, MPI.SUM) / self._nodes))
+        return np.asarray(np.sqrt(sum_over(self._bodies.comm, square) / self._nodes))
 
     def _rigid_motions(self) -> Array:
         """(owned nodes, gdim, motions) of the piece that each node is of, at the present positions, orthonormal in the mean
@@ -227,7 +227,7 @@ class Ties:
         b = self._bodies
         # rotations about as large as translations, whatever the unit of length, for the eigenvalues to be told from round-off
         R = rigid_motions(self._offsets() / np.maximum(self._sizes(), 1e-300)[self._piece][:, None])
-        gram = b.comm.allreduce(self._by_piece(np.swapaxes(R, 1, 2) @ R), MPI.SUM) / self._nodes[:, None, None]
+        gram = sum_over(b.comm, self._by_piece(np.swapaxes(R, 1, 2) @ R)) / self._nodes[:, None, None]
         square, axes = np.linalg.eigh(gram)
         root = np.sqrt(np.maximum(square, 1e-300))
         return np.asarray(R @ ((axes / root[:, None]) @ np.swapaxes(axes, 1, 2))[self._piece])
@@ -236,7 +236,7 @@ class Ties:
 
     def times(self, values: Array) -> Array:
         """(ties,) of nodal values (owned dofs,) along the motions (collective)."""
-        return np.asarray(self._bodies.comm.allreduce(self.motions @ values, MPI.SUM))
+        return np.asarray(sum_over(self._bodies.comm, self.motions @ values))
 
     def forces(self) -> Array:
         """(owned dofs,) of the ties (N), collective."""
@@ -250,7 +250,7 @@ class Ties:
         """(pieces, motions) of nodal forces (owned dofs,) what acts along the tied motions, at the present positions (N,
         collective)."""
         f = forces.reshape(len(self._piece), -1)
-        total = self._bodies.comm.allreduce(self._by_piece(np.einsum("nim,ni->nm", self._rigid_motions(), f)), MPI.SUM)
+        total = sum_over(self._bodies.comm, self._by_piece(np.einsum("nim,ni->nm", self._rigid_motions(), f)))
         return np.asarray((self._free @ total[:, :, None])[:, :, 0])
 
     def bearing(self, bulk: Array, most: Array, present: Array, noise: Array) -> Bearing:

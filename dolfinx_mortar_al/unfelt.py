@@ -25,6 +25,7 @@ from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.obstacles import Pose
 from dolfinx_mortar_al.projection import Projection
+from dolfinx_mortar_al.reductions import any_over
 from dolfinx_mortar_al.self_target import SelfTarget
 from dolfinx_mortar_al.surface import Facets, Surface
 from dolfinx_mortar_al.swept import DEPTH, depth_behind, passed_obstacle, passed_through
@@ -235,7 +236,7 @@ class Unfelt:
             least = np.where(points.silent, 0.0, DEEPEST / 2)
             suspect |= other.depth_behind(points.x) > least * np.maximum(points.extent, other.target.extents.min())
         points, passed = points.take(suspect), passed[suspect]
-        if not self._comm.allreduce(bool(suspect.any()), MPI.LOR):
+        if not any_over(self._comm, suspect.any()):
             return _Found(points.X, passed, np.zeros(0), passed)
         at = other.target.closest(points.x)
         facet = at.point.facet
@@ -243,7 +244,7 @@ class Unfelt:
         reach = points.reach if spacing is None else spacing[facet]
         deep = at.facing & (at.g > np.where(passed, 0.0, SHARE * longer))
         within = np.zeros(len(deep), dtype=bool)
-        if self._comm.allreduce(bool(deep.any()), MPI.LOR):
+        if any_over(self._comm, deep.any()):
             within[deep] = other.inside(points.x[deep], at.y[deep])
         silent = points.silent & other.silent[facet]
         return _found(points, passed & silent & ~within, np.where(within, at.g, 0.0), silent, reach, longer)

@@ -16,9 +16,9 @@ import basix
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
-from mpi4py import MPI
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.reductions import any_over
 from dolfinx_mortar_al.versions import geometry_degree, geometry_nodes
 
 __all__ = [
@@ -212,7 +212,7 @@ def check_measures(F: ufl.Form, name: str) -> None:
         tag, tags = integral.subdomain_id(), integral.subdomain_data()
         if isinstance(tag, str) or not (tags is None or isinstance(tags, mesh.MeshTags)):
             continue  # everywhere, or where lists of entities say
-        if not comm.allreduce(tags is not None and bool(np.isin(tags.values, tag).any()), MPI.LOR):
+        if not any_over(comm, tags is not None and bool(np.isin(tags.values, tag).any())):
             raise ValueError(
                 f"{name}: its {integral.integral_type()} integral is over the tag {tag}, which marks nothing; write it with "
                 "a measure of subdomain_data that have this tag, or leave it out"

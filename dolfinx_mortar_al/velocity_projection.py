@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
@@ -28,6 +27,7 @@ from dolfinx_mortar_al.contact import ContactPair
 from dolfinx_mortar_al.law import Coulomb
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector
 from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.reductions import all_over, any_over, sum_over
 from dolfinx_mortar_al.step_level import StepLevel
 
 __all__ = ["Settled", "VelocityProjection"]
@@ -73,7 +73,7 @@ class VelocityProjection:
         self._density = [pair.surface_stiffness(diagonals) for pair in problem.pairs]
         self._layouts = [problem.bodies.layout]
         self._layouts += [Layout.of(pair.multiplier.field.function_space) for pair in problem.pairs]
-        self._couples: list[Index] | None = None
+        self._couples = [np.empty((2, 0), dtype=np.int64) for _ in problem.pairs]
         self._nest: Any = None
         self._solver: Any = None
 
@@ -82,7 +82,7 @@ class VelocityProjection:
         (collective). Impulses act along the step's traction unless the step's friction would give energy with them: where
         slip has turned back within the step they act along the normal."""
         problem = self._problem
-        closed = [problem.comm.allreduce(bool(pair.active.closed.any()), MPI.LOR) for pair in problem.pairs]
+        closed = [any_over(problem.comm, pair.active.closed.any()) for pair in problem.pairs]
         if not any(closed):
             return Settled(0.0, 0.0, 0.0, [np.zeros(problem.gdim) for _ in problem.pairs])
         hold: list[Bool] = [np.ones(pair.integration.size, dtype=bool) for pair in problem.pairs]
@@ -90,7 +90,7 @@ class VelocityProjection:
             parts = self._parts(hold, drag=True)
             δv, impulses, lost, gain = self._solve(parts, Δt)
             loose = [part.leaves_cone(i, Δt) for part, i in zip(parts, impulses, strict=True)]
-            if round_ == PASSES or not problem.comm.allreduce(any(bool(some.any()) for some in loose), MPI.LOR):
+            if round_ == PASSES or not any_over(problem.comm, any(bool(some.any()) for some in loose)):
                 break
             last = round_ == PASSES - 1
             hold = [still & ~(some | last) for still, some in zip(hold, loose, strict=True)]
@@ -116,7 +116,7 @@ class VelocityProjection:
         """δ𝐯 (owned dofs,), each pair's impulses at its points (n, components) (N s/m²), the energy that impulses take as
         conjugate to 𝐆𝐯, and the kinetic energy gained (J)."""
         if not self._fits(parts):
-            self._make_system(parts)
+            self._make_system()
         problem = self._problem
         vectors = [layout.vector() for layout in self._layouts]
         now = vectors[0].duplicate()
@@ -151,20 +151,27 @@ class VelocityProjection:
         return δv.array_r.copy(), [part.at_points(v) for part, v in zip(parts, multipliers, strict=True)], lost, gain
 
     def _fits(self, parts: list[_Part]) -> bool:
-        """Whether the matrices have the pattern of these parts on all ranks: they and their factorisation are kept then."""
-        couples = [part.couples for part in parts]
-        fits = self._couples is not None and all(map(np.array_equal, self._couples, couples))
-        self._couples = couples
-        return bool(self._problem.comm.allreduce(fits, MPI.LAND))
+        """Whether the matrices have room for these parts on all ranks, as for all couples of facets seen before: they and
+        their symbolic factorisation are kept then."""
+        before, fits = self._couples, self._nest is not None
+        self._couples = [
+            np.unique(np.concatenate([seen, part.couples], axis=1), axis=1)
+            for seen, part in zip(before, parts, strict=True)
+        ]
+        fits &= all(seen.shape == now.shape for seen, now in zip(before, self._couples, strict=True))
+        return all_over(self._problem.comm, fits)
 
-    def _make_system(self, parts: list[_Part]) -> None:
+    def _make_system(self) -> None:
         comm, n = self._problem.comm, len(self._layouts)
         blocks: list[list[Any]] = [[None] * n for _ in range(n)]
         blocks[0][0], self._blocks = self._mass, []
-        for k, (pair, part) in enumerate(zip(self._problem.pairs, parts, strict=True), start=1):
+        for k, (pair, couples) in enumerate(zip(self._problem.pairs, self._couples, strict=True), start=1):
             G, H, D = (empty_matrix(self._layouts[k], self._layouts[column]) for column in (0, 0, k))
-            for A, (rows, columns, values) in ((G, part.G), (H, part.H), (D, part.D)):
-                insert(A, rows, columns, np.zeros_like(values))
+            on, m, d = pair.multiplier.blocks, pair.multiplier.components, pair.gdim
+            rows, nodes = on[couples[0]], _nodes(pair, *couples)
+            for A in (G, H):
+                insert(A, rows, nodes, np.zeros((len(rows), rows.shape[1], m, nodes.shape[1], d)))
+            insert(D, on, on, np.zeros((len(on), on.shape[1], m, on.shape[1], m)))
             idle = pair.multiplier.idle
             D.setValuesRCV(idle[:, None], idle[:, None], np.zeros((len(idle), 1, 1)), _ADD)
             for A in (G, H, D):
@@ -177,6 +184,11 @@ class VelocityProjection:
         self._solver.setType("preonly")
         self._solver.getPC().setType("lu")
         self._solver.getPC().setFactorSolverType("mumps")
+
+
+def _nodes(pair: ContactPair, facet: Index, target: Index) -> Index:
+    """(n, nodes) global blocks of the nodes of contactor and target facets (n,)."""
+    return np.concatenate([pair.blocks.contactor[facet], pair.target.blocks[pair.target.facets[target]]], axis=1)
 
 
 class _Part:
@@ -195,7 +207,7 @@ class _Part:
         self._pair, self._N, self._j = pair, N[rates.act], pair.j[rates.act]
         self._facet, target = points.facet[rates.act], pair.target.facets[rates.facet]
         self._rows: Index = pair.multiplier.blocks[self._facet]
-        nodes = np.concatenate([blocks.contactor[self._facet], pair.target.blocks[target]], axis=1)
+        nodes = _nodes(pair, self._facet, rates.facet)
         fixed = np.concatenate([blocks.fixed[self._facet], pair.target.fixed[target]], axis=1)
         #: (2, n) contactor and target facet of each closed point
         self.couples = np.stack([self._facet, rates.facet])
@@ -247,6 +259,6 @@ class _Part:
     def impulse(self, impulses: Array, Δt: float) -> tuple[Array, float]:
         """Impulse on the contactor (gdim,) (N s), and the work of an obstacle that moves (J); collective."""
         vectors, comm = self._on_contactor(impulses) * self._j[:, None], self._pair.comm
-        return np.asarray(comm.allreduce(vectors.sum(axis=0))), comm.allreduce(
-            float((vectors * self._rates.swept).sum()) / Δt
+        return np.asarray(sum_over(comm, vectors.sum(axis=0))), sum_over(
+            comm, float((vectors * self._rates.swept).sum()) / Δt
         )

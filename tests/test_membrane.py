@@ -82,7 +82,7 @@ def test_flat_unstressed_start_reaches_the_exact_arc_in_one_step(pressure):
     assert problem.lacks_stiffness
     (step,) = quasistatic.march(problem, p, to=pressure, increments=1)
     exact = Exact().apart(pressure)
-    u = output.probe(problem.u, [0.5, 0.0])
+    u = output.Probe(problem.u, [0.5, 0.0])()
     assert step.rejected == 0
     assert u[1] == pytest.approx(exact.midpoint_displacement[1], rel=1e-5)
     assert u[0] == pytest.approx(0.0, abs=1e-9)
@@ -90,7 +90,7 @@ def test_flat_unstressed_start_reaches_the_exact_arc_in_one_step(pressure):
 
 
 def midpoint_error(problem, state):
-    u = output.probe(problem.u, [0.5, 0.0], problem.lower)
+    u = output.Probe(problem.u, [0.5, 0.0], problem.lower)()
     exact = np.array(state.midpoint_displacement)
     return np.linalg.norm(u - exact) / np.linalg.norm(exact)
 
@@ -123,7 +123,7 @@ def test_any_steps_give_the_same_frictionless_answer():
         problem, p = membranes(cells=(40, 40))
         for _ in quasistatic.march(problem, p, to=4023.0, increments=increments):
             pass
-        found.append(output.probe(problem.u, [0.5, 0.0], problem.lower))
+        found.append(output.Probe(problem.u, [0.5, 0.0], problem.lower)())
     assert np.allclose(found[0], found[1], atol=1e-7)
 
 
@@ -172,7 +172,7 @@ def test_a_balloon_is_followed_past_its_limit_point():
     loads_, stretches = [], []
     for step in quasistatic.follow(problem, p, first=200.0, length=0.1, steps=9):
         loads_.append(step.load)
-        stretches.append(1 + output.probe(problem.u, [0.0, 0.0, 1.0])[2])
+        stretches.append(1 + output.Probe(problem.u, [0.0, 0.0, 1.0])()[2])
     late = np.array(stretches) > 1.2
     assert np.allclose(np.array(loads_)[late], balloon.pressure(np.array(stretches)[late]), rtol=1e-3)
     assert stretches[-1] > l_limit and loads_[-1] < max(loads_)
@@ -284,7 +284,7 @@ def test_a_membrane_and_a_body_on_meshes_of_their_own(swap):
         *_, step = quasistatic.march(problem, p, to=500.0, increments=4)
         assert step.load == 500.0
         force = problem.pairs[0].force()
-        found.append([*force, problem.pairs[0].closed_fraction(), *output.probe(problem.u[1], [0.5, -0.1])])
+        found.append([*force, problem.pairs[0].closed_fraction(), *output.Probe(problem.u[1], [0.5, -0.1])()])
     down = -1 if swap else 1
     assert 30.0 < down * found[0][1] < 500.0
     assert abs(found[0][0]) < 1e-2 * abs(found[0][1])  # symmetric but for the meshes
@@ -300,7 +300,7 @@ def test_ranks_agree_with_one_rank(dim, friction):
         for _ in quasistatic.march(problem, p, to=3300.0 if dim == 2 else 2700.0, increments=6):
             pass
         middle = [0.5, 0.0] + [0.5] * (dim - 2)
-        found.append([*output.probe(problem.u, middle, problem.lower), problem.pairs[0].closed_fraction()])
+        found.append([*output.Probe(problem.u, middle, problem.lower)(), problem.pairs[0].closed_fraction()])
     assert found[0][-1] > 0
     assert np.allclose(found[0], found[1], rtol=1e-8, atol=1e-10)
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import CellType, create_box
 from mpi4py import MPI
 from petsc4py import PETSc
 from scenes import beams, blocks, tip
@@ -35,6 +36,16 @@ def test_together_and_alone(dim, triangles, friction, projection):
     assert np.allclose(together[0], alone[0], rtol=1e-8)
     assert np.allclose(together[1], alone[1], rtol=1e-8, atol=1e-8)
     assert together[2] == pytest.approx(alone[2], rel=1e-12)
+
+
+@pytest.mark.skipif(MPI.COMM_WORLD.size == 1, reason="one rank has all")
+def test_a_mesh_is_shared_out_alike_each_time():
+    """Twenty times; with four threads PT-Scotch makes 20 partitions of this mesh, on two and on three ranks."""
+    found = set()
+    for _ in range(20):
+        box = create_box(MPI.COMM_WORLD, [[0, 0, 0], [1, 1, 1]], [9, 9, 4], CellType.tetrahedron)
+        found.add(tuple(MPI.COMM_WORLD.allgather(box.topology.original_cell_index.tobytes())))
+    assert len(found) == 1
 
 
 @pytest.mark.parametrize("dim", [2, 3])

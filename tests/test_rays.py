@@ -83,6 +83,24 @@ def test_hits_are_those_of_a_slow_root_finder(cell, order):
     assert np.array_equal(at.ν, -normal)
 
 
+def test_hits_stay_with_their_rays():
+    """Rays from both sides onto one arch, y = 0.6 (1 − (2η − 1)²), in turn, so that both roots of its equation are met: each
+    meets the leg that opposes it, once."""
+    arch = GatheredFacets(
+        ShapeFunctions(CELLS["line"], 2),
+        np.arange(3)[None],
+        np.arange(3),
+        np.array([[0, 0], [1, 0], [0.5, 0.6]]),
+        -np.ones(1),
+    )
+    side, height = np.tile([1.0, -1.0], 10), np.linspace(0.05, 0.4, 20)
+    x, normal = np.c_[0.5 - 2 * side, height], np.c_[side, np.zeros(20)]
+    at = shoot(arch, x, normal)
+    assert at.facing.all()
+    leg = 0.5 - 0.5 * side * np.sqrt(1 - height / 0.6)
+    assert np.allclose(at.y, np.c_[leg, height], atol=1e-12)
+
+
 @pytest.mark.parametrize("shift", [0.0, 3e5], ids=["near", "1e6 facets away"])
 @pytest.mark.parametrize("cell, order", SURFACES)
 def test_no_ray_slips_through(cell, order, shift):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import compute_midpoints, locate_entities_boundary, meshtags
+from dolfinx.mesh import compute_midpoints, create_unit_square, locate_entities_boundary, meshtags
 from mpi4py import MPI
 from scenes import NU, E, beams, blocks, contact_of, membranes
 from test_dynamics import disc
@@ -315,3 +315,14 @@ def test_a_picture_that_cannot_be_is_refused(shared_path):
         output.picture(problem, shared_path / "x.png", view=(0, 1, 0))
     with pytest.raises(ValueError, match="size"):
         output.picture(problem, shared_path / "x.png", size=(300,))
+
+
+def test_a_probe_is_at_a_point_of_the_mesh():
+    """Values of a linear field to round-off, on every rank, as it is at each call; elsewhere there is none."""
+    u = fem.Function(fem.functionspace(create_unit_square(MPI.COMM_WORLD, 3, 3), ("Lagrange", 1, (2,))))
+    probe = output.Probe(u, [0.3, 0.2])
+    for factor in (1.0, 2.0):
+        u.interpolate(lambda x, factor=factor: factor * np.stack([x[0], x[0] + 2 * x[1]]))
+        assert np.allclose(probe(), factor * np.array([0.3, 0.7]), rtol=1e-12)
+    with pytest.raises(ValueError, match="lies in no cell"):
+        output.Probe(u, [0.3, 50.0])

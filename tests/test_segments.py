@@ -127,7 +127,7 @@ def test_membranes_that_slide():
     for _ in quasistatic.march(problem, p, to=4400.0, increments=15):
         pass
     exact = Exact(friction=0.5).state(4400.0).midpoint_displacement
-    middle = output.probe(problem.u, [0.5, 0.0], problem.lower)
+    middle = output.Probe(problem.u, [0.5, 0.0], problem.lower)()
     assert np.linalg.norm(middle - exact) < 5e-4 * np.linalg.norm(exact)
 
 

@@ -200,7 +200,7 @@ def test_the_unstable_branch_of_a_balloon_is_named():
     unstable = {}
     with pytest.warns(UserWarning, match="this equilibrium is unstable") if problem.comm.rank == 0 else _nothing():
         for step in quasistatic.follow(problem, p, first=200.0, length=0.1, steps=9):
-            stretch = 1 + output.probe(problem.u, [0.0, 0.0, 1.0])[2]
+            stretch = 1 + output.Probe(problem.u, [0.0, 0.0, 1.0])()[2]
             unstable[stretch] = any("unstable" in finding.meaning for finding in step.findings)
     below = [said for stretch, said in unstable.items() if stretch < limit - 0.1]
     beyond = [said for stretch, said in unstable.items() if stretch > limit + 0.1]

@@ -66,7 +66,7 @@ def impact(comm=MPI.COMM_WORLD, *, cells=20, step=None, to=0.5, speed=SPEED, dim
         )
     middle = [0.5] * (dim - 1)
     faces = [(10.0, BAR1), (10.0 + gap, BAR2)]
-    tips = np.array([output.probe(u, [x, *middle], bodies.find(bar)) for x, bar in faces])
+    tips = np.array([output.Probe(u, [x, *middle], bodies.find(bar))() for x, bar in faces])
     return Impact(*np.array(rows).T, tips)
 
 
