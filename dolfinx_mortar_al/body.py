@@ -164,7 +164,7 @@ class Body:
         cells = domain.topology.index_map(domain.topology.dim).size_local
         share, whole = (fem.assemble_vector(fem.form(whole_form(form, domain))).array[:cells] for form in forms)
         times = np.round(share / whole).astype(int)
-        none, twice = sum_over(domain.comm, np.array([np.sum(times == 0), np.sum(times > 1)]))
+        none, twice = sum_over(domain.comm, np.array([np.sum(times == 0), np.sum(times > 1)])).astype(int)
         if none or twice:
             raise ValueError(
                 f"material: {none} cells belong to no part and {twice} to several; give each cell to one of the measures"

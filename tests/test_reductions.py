@@ -18,9 +18,11 @@ def test_numbers_of_all_ranks():
     assert isinstance(sum_over(COMM, mine), float)
 
 
-def test_whole_numbers_stay_whole():
-    """Beyond 2⁵³, where a float would lose digits, as hashes of contact states are."""
-    assert sum_over(COMM, 2**55 + COMM.rank) == COMM.size * 2**55 + int(EVERY.sum())
+def test_types_of_other_ranks():
+    """A rank that owns nothing counts it in whole numbers: np.bincount does, with weights, too."""
+    mine = np.arange(3) if COMM.rank == 0 else np.arange(3) + 0.25
+    assert np.array_equal(sum_over(COMM, mine), np.arange(3) * COMM.size + 0.25 * (COMM.size - 1))
+    assert max_over(COMM, 1 if COMM.rank == 0 else 0.5) == 1.0
 
 
 @pytest.mark.parametrize("layout", ["C", "F"])
