@@ -631,6 +631,10 @@ class ContactPair(PairResults):
         hardly = self.overlap_in_contact()
         return found if hardly is None else [*found, hardly]
 
+    def is_pressed(self) -> bool:
+        """Whether a closed point of this rank has a multiplier: it is not of bodies that only touch."""
+        return bool((self._normal_multiplier()[self.active.closed] != 0.0).any())
+
     def was_in_contact(self) -> bool:
         """Whether a facet of this rank was in contact in the last converged state."""
         return bool(self._converged.closed.any())

@@ -156,12 +156,14 @@ class ContactIteration:
 
     def _correct(self, bulk: LinearisedBulk | None, start: float) -> bool:
         """Steps from z with the bulk's derivative at x, and without `bulk` contact's as well while it is as it was there, as
-        long as each leaves a share CHORD of the residual or less; whether any was taken. One that leaves more is undone."""
-        size, taken = self._follow(), False
-        while self._pays(size, start, taken) and (bulk is not None or self.problem.contact_pattern() == self._before):
+        long as each leaves a share CHORD of the residual or less; whether any was taken. One that leaves more is undone.
+        What is left below the tolerance where they should have left less than ENDS is round-off."""
+        size, taken, end = self._follow(), False, 1.0
+        while self._pays(size, start, end) and (bulk is not None or self.problem.contact_pattern() == self._before):
             self._keep()
             self._solve(bulk, SOLVES)
             self._advance()
+            end = 1.0 if taken and size * size / start <= ENDS else ENDS
             start, size = size, self._follow()
             if not size < start:
                 self._go_back()
@@ -170,11 +172,9 @@ class ContactIteration:
             taken = True
         return taken
 
-    def _pays(self, size: float, start: float, taken: bool) -> bool:
-        """Whether to take a step with the old derivative, the last step having left `size` of `start`; `taken`: it was one of
-        them, and not Newton's."""
+    def _pays(self, size: float, start: float, end: float) -> bool:
+        """Whether to take a step with the old derivative towards `end`, the last step having left `size` of `start`."""
         share = size / start if start > 0 else 1.0
-        end = ENDS if taken else 1.0
         return end < size and share < CHORD and (self._is_solid or np.log(end / size) / np.log(share) <= AFFORDED)
 
     def undo(self) -> None:

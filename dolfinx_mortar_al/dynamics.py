@@ -25,7 +25,7 @@ from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.newton import NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot
 from dolfinx_mortar_al.ranks import agreed
-from dolfinx_mortar_al.reductions import max_over, sum_over
+from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.stepping import Attempt, Bar, Controller, Event, StepFailure
 from dolfinx_mortar_al.velocity_projection import VelocityProjection
 
@@ -266,16 +266,21 @@ class _TimeControl(Controller[Step]):
         for pair in self.problem.pairs:
             pair.begin_step()
         self.move(time + Δt)
-        for motion in self.motions:
-            motion.guess()
-        if problem.inverted_volume() > 0:  # a long step of a body under strong compression
-            for motion in self.motions:
-                motion.undo()
+        if not any_over(problem.comm, any(pair.is_pressed() for pair in problem.pairs)):
+            self._fly()
         problem.force_reference = self._inertia_scale(Δt)
         result = self.solver.solve()
         findings = problem.findings() if result.converged else []
         faults = self._faults(findings) if result.converged else []
         return Attempt(result.converged and not faults, result, "; ".join(faults) or result.message, findings)
+
+    def _fly(self) -> None:
+        """Start from 𝐮_n + Δt 𝐯_n, where bodies are at the end of the step without forces."""
+        for motion in self.motions:
+            motion.fly()
+        if self.problem.inverted_volume() > 0:  # a long step of a body under strong compression
+            for motion in self.motions:
+                motion.undo()
 
     def _faults(self, findings: list[Finding]) -> list[str]:
         """What is wrong with a converged state: fatal findings, energy from contact, points that have passed through."""
@@ -287,8 +292,8 @@ class _TimeControl(Controller[Step]):
             reasons.append(f"contact would give {gain:.3g} J to the bodies in this step; take a smaller one")
         for pair, level in zip(self.problem.pairs, self.levels, strict=True):
             passed = level.passed_through(pair.state)
-            X = np.concatenate(self.problem.comm.allgather(pair.points()[passed]))
-            if len(X):
+            if any_over(self.problem.comm, passed.any()):
+                X = np.concatenate(self.problem.comm.allgather(pair.points()[passed]))
                 place = np.array2string(X[0], precision=4)
                 reasons.append(
                     f"{pair.name}: {len(X)} points pass through the target in this step, the first at X = {place}; take a "

@@ -167,11 +167,11 @@ class Motion:
         return 0.0 if self._external_work is None else self.integral(self._external_work)
 
     def predict(self) -> None:
-        """𝐮 ← 𝐮_n + Δt 𝐯_n/2, where the step's contact geometry is taken first."""
+        """𝐮 ← 𝐮_n + Δt 𝐯_n/2, the middle of the flight, where what faces a rigid target is found."""
         self.u.x.array[:] = self.old.x.array + self.time_step.value / 2 * self.velocity.x.array
 
-    def guess(self) -> None:
-        """𝐮 ← 𝐮_n + Δt 𝐯_n, from which Newton starts."""
+    def fly(self) -> None:
+        """𝐮 ← 𝐮_n + Δt 𝐯_n, where a body is at the end of the step without forces."""
         self.u.x.array[:] = self.old.x.array + self.time_step.value * self.velocity.x.array
 
     def accept(self) -> None:

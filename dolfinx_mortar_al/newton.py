@@ -247,7 +247,8 @@ class NewtonSolver:
 
     def _update(self, snes: PETSc.SNES, iteration: int) -> None:
         """At the start of an iteration the active sets change, and the residual with them."""
-        self.problem.follow(snes.getFunction()[0])
+        if iteration > 0:
+            self.problem.follow(snes.getFunction()[0])
         if self.problem.decide(snes.getFunction()[0]):
             self._set_since = iteration
 

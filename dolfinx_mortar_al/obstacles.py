@@ -38,6 +38,13 @@ class Pose:
         """No motion."""
         return cls(np.zeros(gdim), np.eye(gdim))
 
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, Pose)
+            and np.array_equal(self.translation, other.translation)
+            and np.array_equal(self.rotation, other.rotation)
+        )
+
     def copy(self) -> Pose:
         return Pose(np.array(self.translation, dtype=np.float64), np.array(self.rotation, dtype=np.float64))
 

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
-FOLLOWS = 3  # iterations of a solve in which points and directions are chosen again
+FOLLOWS = 2  # iterations of a solve, after the first, in which points and directions are chosen again
 STILL = 1e-3  # of a facet: relative motions below are no direction for κ, which leaves out terms of third order
 
 
@@ -77,8 +77,8 @@ class StepLevel(Kinematics):
     Eq. (1) holds with the penetration at the end of the step and the relative motion 𝐰 over it in place of the slip.
 
     Attributes:
-        at: the material points that forces act on, with the target's normal in the middle of the predicted step for ν, and
-            the penetration at the end of the step for g.
+        at: the material points that forces act on, with the target's normal there for ν, and the penetration at the end
+            of the step for g.
         end: what the points face at the end of the step.
     """
 
@@ -100,16 +100,15 @@ class StepLevel(Kinematics):
     # ---------------------------------------------------------------- a step
 
     def predict(self) -> None:
-        """Choose the points and directions of a rigid target's step, in the middle of the predicted one."""
+        """Choose the points and directions of a rigid target's step, in the middle of the flight."""
         if self.target.is_rigid:
             self.pair = self.target.project(self.contactor())
 
     def begin(self, closed: Bool | None = None, closes: Array | None = None) -> None:
         """The step starts from the present displacements; `closed` and `closes` as in :meth:`excuse`. The points and
-        directions of a deformable target are chosen in the first iterations."""
+        directions of a deformable target are chosen there, and again in the next iterations."""
         self.target.refresh()
-        if self.target.is_rigid or not self._is_projected():
-            self._project()
+        self._project()
         if not self.target.is_rigid:
             self.pair = self.end.take(np.arange(self.points.size))
         self._remember()
@@ -137,21 +136,14 @@ class StepLevel(Kinematics):
         """The slip is that within a step: none goes on from one to the next."""
 
     def _project(self) -> None:
-        """What the points face now."""
-        self._now, self._place = self.contactor(), self.target.place
-        self.x, self.end = self._now.x, self.target.project(self._now)
-
-    def _is_projected(self) -> bool:
-        """Whether nothing has moved since a deformable target was projected onto last."""
-        return (
-            self._place is not None
-            and np.array_equal(self.positions(), self.x)
-            and bool(np.array_equal(np.asarray(self._place), np.asarray(self.target.place)))
-        )
+        """What the points face now, if anything has moved since the last time."""
+        if self._place is None or not self.target.is_at(self._place) or not np.array_equal(self.positions(), self.x):
+            self._now, self._place = self.contactor(), self.target.place
+            self.x, self.end = self._now.x, self.target.project(self._now)
 
     def follow(self) -> bool:
         """Choose points and directions again, from the middle of the step as the iteration has it now; whether they changed.
-        The prediction knows nothing of an impact; a few iterations do, and then the choice is held."""
+        What there is at the start knows nothing of an impact; a few iterations do, and then the choice is held."""
         if self.target.is_rigid or self._follows == 0:
             return False
         self._follows -= 1

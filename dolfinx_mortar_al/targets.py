@@ -125,6 +125,10 @@ class Target(ABC):
         """Where the target is now, to hand to :meth:`project` and :meth:`positions` later."""
 
     @abstractmethod
+    def is_at(self, place: Place) -> bool:
+        """Whether it has not moved from there."""
+
+    @abstractmethod
     def stiffness(self, diagonals: Sequence[fem.Function], thickness: float) -> float:
         """Mean nodal stiffness per area (Pa/m), from the diagonals (N/m) of the bodies' matrices."""
 
@@ -164,6 +168,9 @@ class DeformableTarget(Target):
     @property
     def place(self) -> Place:
         return self._nodes
+
+    def is_at(self, place: Place) -> bool:
+        return isinstance(place, np.ndarray) and np.array_equal(place, self._nodes)
 
     @property
     def nodes(self) -> Array:
@@ -256,6 +263,9 @@ class RigidTarget(Target):
     @property
     def place(self) -> Place:
         return self.obstacle.pose
+
+    def is_at(self, place: Place) -> bool:
+        return isinstance(place, Pose) and place == self.obstacle.pose
 
     @property
     def nodes(self) -> Array:
