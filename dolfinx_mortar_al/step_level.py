@@ -89,6 +89,7 @@ class StepLevel(Kinematics):
         self.set_history(before.history)
         self.end = self.pair = self.at
         self._place: Place | None = None
+        self._flight: tuple[Array, Array] | None = None
         self._remember()
         self._known: Bool = np.zeros(self.points.size, dtype=bool)
         self._g0: Array = np.zeros(self.points.size)
@@ -100,17 +101,22 @@ class StepLevel(Kinematics):
     # ---------------------------------------------------------------- a step
 
     def predict(self) -> None:
-        """Choose the points and directions of a rigid target's step, in the middle of the flight."""
+        """The bodies are in the middle of their flight: there points and directions are chosen at first, those on a rigid
+        target at once, as its pose is another one later."""
+        self.target.refresh()
         if self.target.is_rigid:
             self.pair = self.target.project(self.contactor())
+        else:
+            self._flight = self.nodes(), self.target.nodes
 
     def begin(self, closed: Bool | None = None, closes: Array | None = None) -> None:
-        """The step starts from the present displacements; `closed` and `closes` as in :meth:`excuse`. The points and
-        directions of a deformable target are chosen there, and again in the next iterations."""
+        """The step starts from the present displacements; `closed` and `closes` as in :meth:`excuse`."""
         self.target.refresh()
         self._project()
         if not self.target.is_rigid:
             self.pair = self.end.take(np.arange(self.points.size))
+            if self._flight is not None:
+                self._choose(*self._flight)
         self._remember()
         self._known, self._g0 = self.end.facing, self.end.g
         n = self.points.size
@@ -143,16 +149,21 @@ class StepLevel(Kinematics):
 
     def follow(self) -> bool:
         """Choose points and directions again, from the middle of the step as the iteration has it now; whether they changed.
-        What there is at the start knows nothing of an impact; a few iterations do, and then the choice is held."""
+        The flight knows nothing of an impact; a few iterations do, and then the choice is held."""
         if self.target.is_rigid or self._follows == 0:
             return False
         self._follows -= 1
         place, before = self.target.place, self._place0
         assert isinstance(place, np.ndarray) and isinstance(before, np.ndarray)
-        middle = self.target.project(self.contactor((self._nodes0 + self.nodes()) / 2), (before + place) / 2)
-        self._adopt(middle, np.flatnonzero(middle.facing))
+        self._choose((self._nodes0 + self.nodes()) / 2, (before + place) / 2)
         self._relate()
         return True
+
+    def _choose(self, nodes: Array, place: Array) -> None:
+        """Take the points and directions of a deformable target with the contactor's nodes (nf, nodes, gdim) and its own
+        (nodes, gdim) elsewhere, where something is faced there."""
+        there = self.target.project(self.contactor(nodes), place)
+        self._adopt(there, np.flatnonzero(there.facing))
 
     def _remember(self) -> None:
         now = self.contactor()

@@ -84,6 +84,35 @@ def test_directional_derivative(dim, order, triangles, friction, projection):
     assert_tangent(problem, at, lambda: set_field(problem, direction[0], direction[1], clamped=False), h=1e-9)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_motion_of_the_gap_is_missed_by_third_order(dim):
+    """Δg + 𝐦·𝐰 with the directions of the flight's middle, before κ: an eighth for half the step; a quarter with those of its
+    start. A slow step takes one iteration, and what κ leaves where nothing moves relatively is energy from nowhere."""
+
+    start = lambda X: bend(X) + rough(2e-4, 1)(X)  # noqa: E731
+    motion = lambda X: turned(X, 1.0) + rough(0.02, 2)(X)  # noqa: E731
+
+    def missed(h, in_flight):
+        problem, *_ = in_step(dim, 2, 0.0, "rays")
+        level = problem.pairs[0].kinematics
+        set_field(problem, lambda X: start(X) + h / 2 * motion(X), clamped=False)
+        if in_flight:
+            level.predict()
+        set_field(problem, start, clamped=False)
+        level.begin()
+        facets = [level.end.point.facet, level.pair.point.facet]
+        set_field(problem, lambda X: start(X) + h * motion(X), clamped=False)
+        level.evaluate()
+        stay = level.end.facing & level._known & np.logical_and(*(level.end.point.facet == before for before in facets))
+        miss = level.end.g - level._g0 + np.einsum("ni,ni->n", level._m, level._w)
+        assert problem.comm.allreduce(int(stay.sum())) > 10
+        return problem.comm.allreduce(float(np.sum(miss[stay] ** 2))) ** 0.5
+
+    for in_flight, least in ((True, 7.0), (False, 3.5)):
+        ratio = missed(0.02, in_flight) / missed(0.01, in_flight)
+        assert least < ratio < 1.3 * least, in_flight
+
+
 @pytest.mark.parametrize("projection", ["rays", "closest"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_forces_balance_and_work_is_that_of_the_gap(dim, projection):
