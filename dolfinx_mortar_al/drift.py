@@ -80,4 +80,4 @@ class DriftMonitor:
         if not self._any_prescribed:
             return False
         speeds = [m.velocity.x.array[some] for m, some in zip(self._motions, self._prescribed, strict=True)]
-        return bool(any_over(self._problem.comm, any(bool(v.any()) for v in speeds)))
+        return any_over(self._problem.comm, any(v.any() for v in speeds))

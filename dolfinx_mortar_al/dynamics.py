@@ -256,7 +256,7 @@ class _TimeControl(Controller[Step]):
         self._before: Snapshot = problem.snapshot()
         for motion in self.motions:
             motion.time_step.value = Δt
-            motion.predict()
+            motion.fly(0.5)
         self.move(time + Δt / 2)
         for level in self.levels:
             level.predict()
@@ -277,7 +277,7 @@ class _TimeControl(Controller[Step]):
     def _fly(self) -> None:
         """Start from 𝐮_n + Δt 𝐯_n, where bodies are at the end of the step without forces."""
         for motion in self.motions:
-            motion.fly()
+            motion.fly(1.0)
         if self.problem.inverted_volume() > 0:  # a long step of a body under strong compression
             for motion in self.motions:
                 motion.undo()

@@ -166,13 +166,10 @@ class Motion:
         """Work of the dead loads in the present step (J), collective."""
         return 0.0 if self._external_work is None else self.integral(self._external_work)
 
-    def predict(self) -> None:
-        """𝐮 ← 𝐮_n + Δt 𝐯_n/2, the middle of the flight, where what faces a rigid target is found."""
-        self.u.x.array[:] = self.old.x.array + self.time_step.value / 2 * self.velocity.x.array
-
-    def fly(self) -> None:
-        """𝐮 ← 𝐮_n + Δt 𝐯_n, where a body is at the end of the step without forces."""
-        self.u.x.array[:] = self.old.x.array + self.time_step.value * self.velocity.x.array
+    def fly(self, share: float) -> None:
+        """𝐮 ← 𝐮_n + share × Δt 𝐯_n, where a body is without forces after a share of the step: in the middle the step's points
+        and directions are chosen first."""
+        self.u.x.array[:] = self.old.x.array + share * self.time_step.value * self.velocity.x.array
 
     def accept(self) -> None:
         """The step has converged: 𝐯_n ← 𝐯_{n+1}, 𝐮_n ← 𝐮_{n+1} (collective)."""
