@@ -90,9 +90,10 @@ def march(
     """Solve at growing loads and yield each converged step.
 
     A step that fails is undone, slip history included, and tried again at half the increment (a quarter if Newton made no
-    progress), which grows back after easy steps; where contact alone holds a body, first without a prediction. The asked-for
-    loads are always met: `increments` equal parts of the way. A load begins where it stands, at the end of an earlier march
-    or as a checkpoint has brought it back; a function that no march has called yet, at 0.
+    progress); the next one is as long, and grows from there after easy steps. Where contact alone holds a body it is first
+    tried without a prediction. The asked-for loads are always met: `increments` equal parts of the way. A load begins where
+    it stands, at the end of an earlier march or as a checkpoint has brought it back; a function that no march has called
+    yet, at 0.
 
     Args:
         problem: to solve.

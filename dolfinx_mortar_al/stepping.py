@@ -149,7 +149,8 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
             control.undo()
             size, closing_in = length / 2, True
             continue
-        size = size if closing_in else control.grown(size, length, attempt)
+        grown = size if closing_in else control.grown(size, length, attempt)
+        size = min(grown, length) if rejected else grown  # what has just failed would again
         seconds, found = perf_counter() - clock, tuple(attempt.findings)
         done = Step(iterations=iterations, rejected=rejected, wall_time=seconds, nominal=nominal, findings=found)
         step = control.accept(done)

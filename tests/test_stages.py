@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,18 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 from tqdm import tqdm
 
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, obstacles, output, quasistatic
+from dolfinx_mortar_al import (
+    Contact,
+    ContactProblem,
+    Surface,
+    dynamics,
+    materials,
+    obstacles,
+    output,
+    quasistatic,
+    stepping,
+)
+from dolfinx_mortar_al.newton import NewtonResult
 from dolfinx_mortar_al.quasistatic import Stage, StepFailure
 
 CLONE = Path(__file__).parents[1]
@@ -238,3 +250,45 @@ def test_a_users_scene(tmp_path):
     assert 0.1 < share[4] < 0.3 + 0.1  # the slab's surface is inclined by a few degrees
     assert rows["force_y"][-1] == 0.0
     assert (tmp_path / "results" / "displacement.bp").exists()
+
+
+class Stubborn(stepping.Controller):
+    """A march of four asked-for steps that is refused at once where it is longer than `most` allows at its place."""
+
+    smallest, problem = 2.0**-6, SimpleNamespace(comm=MPI.COMM_SELF)
+
+    def __init__(self, most):
+        self.most, self.x, self.tried = most, 0.0, []
+
+    finished = property(lambda self: self.x >= 4.0)
+    share = property(lambda self: self.x / 4.0)
+
+    def at(self, tried=False):
+        return str(self.x)
+
+    def clip(self, size):
+        left = np.floor(self.x) + 1.0 - self.x
+        return min(size, left), size >= left
+
+    def attempt(self, length, nominal):
+        self.length = length
+        self.tried.append(length)
+        good = length <= self.most(self.x)
+        return stepping.Attempt(good, NewtonResult(converged=good, iterations=2), "too long", [])
+
+    def undo(self):
+        pass
+
+    def accept(self, done):
+        self.x += self.length
+        return done
+
+    def failure(self, reason):
+        return reason
+
+
+def test_a_step_that_was_cut_is_repeated_before_it_grows():
+    """What has just failed would fail again: after a cut the next step is as long as the one that went through."""
+    march = Stubborn(lambda x: 0.25 if x < 0.5 else 1.0)
+    list(stepping.run(march, stepping.Bar(march.problem, shown=False)))
+    assert march.tried == [1.0, 0.5, 0.25, 0.25, 0.5, 1.0, 1.0, 1.0]
