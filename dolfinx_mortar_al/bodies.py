@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem, la, mesh
 from dolfinx.fem import petsc as dolfinx_petsc
 from mpi4py import MPI
 from numpy.typing import NDArray
@@ -194,6 +194,7 @@ class Bodies:
         owned = [body.piece[: body.owned] + start for body, start in zip(self.bodies, first, strict=False)]
         self.piece_of_dof = np.repeat(np.concatenate(owned), self.gdim)
         self._free_axes: Array | None = None  # the conditions are those of the start
+        self._marks: list[fem.Function] = []  # few problems need them
 
     def index(self, domain: mesh.Mesh) -> int:
         """Which body lives on a mesh.
@@ -419,6 +420,18 @@ class Bodies:
         for f, part in zip(fields, self._slices, strict=True):
             f.x.array[: part.stop - part.start] = values[part]
             f.x.scatter_forward()
+
+    def with_neighbours(self, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(owned nodes,) the nodes of all cells that have a marked node (owned nodes,), collective."""
+        if not self._marks:
+            self._marks = [fem.Function(body.space) for body in self.bodies]
+        self.spread(np.repeat(marked, self.gdim), self._marks)
+        for body, field in zip(self.bodies, self._marks, strict=True):
+            cells, is_marked = body.space.dofmap.list, field.x.array[:: self.gdim] > 0  # (cells, nodes), (nodes,)
+            field.x.array[:] = 0.0
+            field.x.array[self.gdim * cells[is_marked[cells].any(axis=1)]] = 1.0
+            field.x.scatter_reverse(la.InsertMode.add)
+        return np.asarray(self.owned(self._marks)[:: self.gdim] > 0)
 
     def owned_positions(self) -> Array:
         """(owned nodes, gdim) reference positions of this rank's nodes in the common numbering (m)."""

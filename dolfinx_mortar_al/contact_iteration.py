@@ -74,9 +74,9 @@ class ContactIteration:
         self._forces = problem.bulk_forces.duplicate()
         self._at_z = self._bulk_at_z = False
         self._ksp = PETSc.KSP().create(problem.comm)
-        self._ksp.setType("gmres")
-        if linear.iterative:  # what is left of forces and gaps is measured; factors tell the error itself
-            self._ksp.setPCSide(PETSc.PC.Side.RIGHT)
+        # factors tell the error itself, to GMRES from the left; without them what is left of forces and gaps is measured from
+        # the right, by the flexible kind, which has no preconditioner to apply again at its end
+        self._ksp.setType("fgmres" if linear.iterative else "gmres")
         self._ksp.getPC().setType("python")
         self._ksp.getPC().setPythonContext(_Inverse(linear))
 
@@ -232,6 +232,6 @@ class ContactIteration:
         if self._is_solid and motion > self._longest:
             # pressures of points closed by mistake may exceed the stiffness of what they press
             self._step.scale(self._longest / motion)
-        solves = self._ksp.getIterationNumber() + 1
+        solves = self._ksp.getIterationNumber() + (not self._linear.iterative)
         self.steps, self.solves = self.steps + 1, self.solves + solves
         return int(solves)

@@ -97,8 +97,7 @@ class LinearSolver:
             self._default("", self._mumps_defaults())
 
     def _configure_iterative(self, ksp: PETSc.KSP) -> None:
-        order = max(body.space.element.basix_element.degree for body in self.problem.bodies.bodies)
-        self._default("", block_defaults(order))
+        self._default("", block_defaults)
         self._blocks = BlockPreconditioner(self.problem, self._prefix)
         ksp.setType("fgmres")
         ksp.setGMRESRestart(RESTART)
@@ -141,7 +140,7 @@ class LinearSolver:
     # ---------------------------------------------------------------- solves
 
     def begin(self) -> None:
-        """A new Newton solve: multigrid's coarse spaces are chosen anew, and FGMRES is tried again, where it had failed."""
+        """A new Newton solve: multigrid follows the matrix, and FGMRES is tried again, where it had failed."""
         if self.iterative:
             self._blocks.stale = True
         if self.iterative and self._failure is not None:
@@ -256,7 +255,7 @@ class LinearSolver:
     def renew_contact(self, matrix: PETSc.Mat) -> None:
         """Contact's share has changed, which makes the Jacobian this `matrix`: bring up to date what costs little."""
         if self.iterative and self._failure is None:
-            self._blocks.renew_surface(matrix.getNestSubMatrix(0, 0))
+            self._blocks.renew_contact(matrix.getNestSubMatrix(0, 0))
 
     @property
     def is_solid(self) -> bool:

@@ -9,6 +9,8 @@ from dolfinx_mortar_al.problem import ContactProblem
 
 __all__ = ["LinearisedBulk"]
 
+_DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+
 
 class LinearisedBulk:
     """The bulk's derivative K at the state where the problem's Jacobian was last assembled.
@@ -47,8 +49,9 @@ class LinearisedBulk:
         self.forces(x, y)
         self._problem.contact_share.multAdd(x, y, y)
 
-    def getDiagonal(self, mat: PETSc.Mat, diagonal: PETSc.Vec) -> None:
-        """The diagonal of A − C₀ + C."""
-        self._A.getDiagonal(diagonal)
-        diagonal.axpy(1.0, self._less.getDiagonal())
-        diagonal.axpy(1.0, self._problem.contact_share.getDiagonal())
+    def createSubMatrix(self, mat: PETSc.Mat, rows: PETSc.IS, columns: PETSc.IS, out: PETSc.Mat | None) -> PETSc.Mat:
+        """Rows and columns of A − C₀ + C."""
+        part = self._A.createSubMatrix(rows, columns)
+        for other in (self._less, self._problem.contact_share):
+            part.axpy(1.0, other.createSubMatrix(rows, columns), structure=_DIFFERENT)
+        return part
