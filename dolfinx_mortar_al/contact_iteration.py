@@ -155,9 +155,27 @@ class ContactIteration:
         self._evaluate()
 
     def _correct(self, bulk: LinearisedBulk | None, start: float) -> bool:
+        """Steps from z with the bulk's derivative at x until the residual is below its tolerance or they do not pay any more;
+        then segments follow the bodies, and further such steps take away what that leaves. Whether any was taken."""
+        taken, size = self._take_chords(bulk, start)
+        while size <= 1.0 and self._segments_follow():
+            more, size = self._take_chords(bulk, start)
+            taken |= more
+        return taken
+
+    def _segments_follow(self) -> bool:
+        """Whether segments had to move to be where the bodies are at z (collective)."""
+        p = self.problem
+        if not any_over(p.comm, any([pair.follow_segments() for pair in p.pairs])):
+            return False
+        self._evaluate()
+        self._before = p.contact_pattern()  # of other points
+        return True
+
+    def _take_chords(self, bulk: LinearisedBulk | None, start: float) -> tuple[bool, float]:
         """Steps from z with the bulk's derivative at x, and without `bulk` contact's as well while it is as it was there, as
-        long as each leaves a share CHORD of the residual or less; whether any was taken. One that leaves more is undone.
-        What is left below the tolerance where they should have left less than ENDS is round-off."""
+        long as each leaves a share CHORD of the residual or less; whether any was taken, and what is left. One that leaves
+        more is undone. What is left below the tolerance where they should have left less than ENDS is round-off."""
         size, taken, end = self._follow(), False, 1.0
         while self._pays(size, start, end) and (bulk is not None or self.problem.contact_pattern() == self._before):
             self._keep()
@@ -167,10 +185,9 @@ class ContactIteration:
             start, size = size, self._follow()
             if not size < start:
                 self._go_back()
-                self._follow()
-                return taken
+                return taken, self._follow()
             taken = True
-        return taken
+        return taken, size
 
     def _pays(self, size: float, start: float, end: float) -> bool:
         """Whether to take a step with the old derivative towards `end`, the last step having left `size` of `start`."""

@@ -106,3 +106,14 @@ def test_an_old_derivative_that_makes_it_worse_is_not_used():
     steps = list(quasistatic.march(problem, head, to=(0.0, -0.35), increments=10))
     assert [step.rejected for step in steps] == [0] * 10
     assert sum(step.iterations for step in steps) <= 30
+
+
+def test_segments_follow_within_an_iteration():
+    """Pressed and dragged in space with segments, which move with the bodies: no more iterations than with points that stay
+    (12 and 12; 18 where they moved after each iteration, whose residual was another then)."""
+    scene, counts = ironing.Scene(dim=3, cells=4, order=1, steps=(3, 3)), {}
+    for integration in ("gauss", "segments"):
+        problem, top = ironing.build(scene, {"integration": integration})
+        counts[integration] = [step.iterations for _, step in ironing.iron(scene, problem, top)]
+        assert np.allclose(problem.pairs[0].force(), [-3.58, -1.15, 12.2], rtol=0.02)
+    assert sum(counts["segments"]) <= sum(counts["gauss"]) + 1
