@@ -10,13 +10,13 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.contact_patch import ContactPatch
-from dolfinx_mortar_al.multigrid import Multigrid, multigrid_defaults
+from dolfinx_mortar_al.multigrid import MULTIGRID_DEFAULTS, Multigrid
 from dolfinx_mortar_al.problem import ContactProblem
 
-__all__ = ["BlockPreconditioner", "block_defaults"]
+__all__ = ["BLOCK_DEFAULTS", "BlockPreconditioner"]
 
 #: PETSc options of the parts: multigrid in the bodies, and the factors of contact's patch under `surface_`
-block_defaults: dict[str, str | float] = multigrid_defaults | {
+BLOCK_DEFAULTS: dict[str, str | float] = MULTIGRID_DEFAULTS | {
     "surface_ksp_type": "preonly",
     "surface_pc_type": "lu",
     "surface_pc_factor_mat_solver_type": "mumps",

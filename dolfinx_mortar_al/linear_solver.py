@@ -20,7 +20,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from dolfinx_mortar_al.block_preconditioner import BlockPreconditioner, block_defaults
+from dolfinx_mortar_al.block_preconditioner import BLOCK_DEFAULTS, BlockPreconditioner
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.reductions import min_over
 
@@ -97,7 +97,7 @@ class LinearSolver:
             self._default("", self._mumps_defaults())
 
     def _configure_iterative(self, ksp: PETSc.KSP) -> None:
-        self._default("", block_defaults)
+        self._default("", BLOCK_DEFAULTS)
         self._blocks = BlockPreconditioner(self.problem, self._prefix)
         ksp.setType("fgmres")
         ksp.setGMRESRestart(RESTART)

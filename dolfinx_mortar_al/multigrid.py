@@ -17,12 +17,12 @@ from dolfinx_mortar_al.p_multigrid import FirstOrder
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.reductions import any_over
 
-__all__ = ["Multigrid", "multigrid_defaults"]
+__all__ = ["MULTIGRID_DEFAULTS", "Multigrid"]
 
 _SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 MOVED = 0.1  # of its diameter that a piece moves or turns by before coarse spaces are chosen anew
 
-multigrid_defaults: dict[str, str | float] = {
+MULTIGRID_DEFAULTS: dict[str, str | float] = {
     "bulk_ksp_type": "preonly",
     "bulk_pc_type": "mg",
     "bulk_pc_mg_galerkin": "both",
@@ -54,9 +54,10 @@ class Multigrid:
     def renew(self) -> None:
         """Bring all levels up to date with the problem's matrix (collective)."""
         A = self._problem.blocks[0][0]
-        _say_rigid_motions(A, self._positions())
         is_multigrid = PETSc.Options(self._prefix + "bulk_").getString("pc_type", "mg") == "mg"
         outdated = is_multigrid and self._outdated()
+        if outdated or not is_multigrid:
+            _say_rigid_motions(A, self._positions())
         if outdated:
             self._choose(A)
         if outdated or self._of is None or self._of.handle != A.handle:

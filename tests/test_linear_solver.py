@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import scaling
 
 from dolfinx_mortar_al import NewtonSolver, linear_solver, quasistatic
-from dolfinx_mortar_al.block_preconditioner import block_defaults
+from dolfinx_mortar_al.block_preconditioner import BLOCK_DEFAULTS
 from dolfinx_mortar_al.contact_patch import ContactPatch
 from dolfinx_mortar_al.linearised_bulk import LinearisedBulk
 from dolfinx_mortar_al.multigrid import Multigrid
@@ -191,7 +191,7 @@ def test_contacts_patch_leaves_no_residual_in_it():
     for _ in scaling.press_and_drag(problem, top, newton, steps=(1, 1)):
         pass
     problem.assemble_jacobian()
-    for name, value in block_defaults.items():
+    for name, value in BLOCK_DEFAULTS.items():
         if name.startswith("surface_"):
             PETSc.Options("patch_")[name.removeprefix("surface_")] = value
     patch, bulk = ContactPatch(problem, "patch_"), LinearisedBulk(problem)
