@@ -32,15 +32,14 @@ class BlockPreconditioner:
 
     Attributes:
         idle: set to leave everything as it is, while another solver is at work.
-        stale: set to bring all levels of multigrid up to date. While the pattern is the same its coarse levels serve on
-            otherwise, and the finest one alone follows the matrix.
+        stale: set to bring all levels of multigrid up to date; otherwise its coarse levels serve on, and the finest one alone
+            follows the matrix.
     """
 
     def __init__(self, problem: ContactProblem, prefix: str) -> None:
-        self.problem, self.idle, self.stale = problem, False, False
+        self.problem, self.idle, self.stale = problem, False, True
         self._bulk = Multigrid(problem, prefix)
         self._patch = ContactPatch(problem, prefix + "surface_") if problem.pairs else None
-        self._of: PETSc.Mat | None = None  # the nest the patterns are those of
         self._left, self._u = problem.bodies.layout.vector(), problem.bodies.layout.vector()
 
     def setUp(self, pc: PETSc.PC) -> None:
@@ -48,9 +47,11 @@ class BlockPreconditioner:
         p = self.problem
         if self.idle:
             return
-        if self.stale or self._of is None or self._of.handle != p.matrix.handle:
+        if self.stale:
             self._bulk.renew()
-        self._of, self.stale = p.matrix, False
+        else:
+            self._bulk.follow()
+        self.stale = False
         self.renew_contact(p.blocks[0][0])
 
     def renew_contact(self, A: PETSc.Mat) -> None:

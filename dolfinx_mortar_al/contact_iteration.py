@@ -70,7 +70,8 @@ class ContactIteration:
         self._is_solid = linear.is_solid
         self.steps = self.solves = 0
         self._z, self._step, self._total, self._best, self._way = (problem.x.duplicate() for _ in range(5))
-        self._f, self._goal = problem.residual.duplicate(), problem.residual.duplicate()
+        self._f, self._goal, self._off = (problem.residual.duplicate() for _ in range(3))
+        self._off.set(0.0)
         self._forces = problem.bulk_forces.duplicate()
         self._at_z = self._bulk_at_z = False
         self._ksp = PETSc.KSP().create(problem.comm)
@@ -107,11 +108,12 @@ class ContactIteration:
         self._total.set(0.0)
         self._evaluate()
         settled, whole = p.contact_pattern() == self._before, share == 1.0
+        settled = settled and not p.let_slip(self._f)
         if settled and not whole:
             return None
         # where contact has not changed a direct solver's factors are those of its share, too
         bulk = None if settled and not self._linear.iterative else LinearisedBulk(p)
-        changed = bulk is not None and not settled and self._settle(bulk, max(1.0, ENOUGH * share * start))
+        changed = bulk is not None and not settled and self._settle(bulk, max(1.0, ENOUGH * share * start), start)
         if whole and (settled or self._is_solid):
             changed |= self._correct(bulk, start)
         return self._total if changed else None
@@ -124,23 +126,41 @@ class ContactIteration:
         p.add_contact(self._f)
         return self._size(self._f)
 
-    def _settle(self, bulk: LinearisedBulk, enough: float) -> bool:
-        """Semi-smooth steps on the linearised bulk until `enough` of the residual is left; whether any was taken."""
-        patterns, left = [self.problem.contact_pattern()], self._linear.affordable_solves()
+    def _settle(self, bulk: LinearisedBulk, enough: float, start: float) -> bool:
+        """Semi-smooth steps on the linearised bulk until `enough` of the residual is left, or in space, below `start`, the
+        error of its forces; whether any was taken. Points that were to stick may slip from there on."""
+        p = self.problem
+        patterns, left, taken = [p.contact_pattern()], self._linear.affordable_solves(), False
         size = least = self._balance(bulk)
         if self._is_solid:
             self._keep()
         while left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
+            if self._is_solid and size < start and not p.sticks and size < self._bulk_error(bulk):
+                break
             left -= self._solve(bulk, left)
             self._advance()
-            size = self._balance(bulk)
-            patterns.append(self.problem.contact_pattern())
+            size, taken = self._balance(bulk), True
+            patterns.append(p.contact_pattern())
+            if p.sticks and (size < start or patterns[-1] == patterns[-2]):
+                p.let_slip(self._f)
+                patterns = [p.contact_pattern()]
+                size = least = self._balance(bulk)
+                if self._is_solid:
+                    self._keep()
             if self._is_solid and size < least:
                 least = size
                 self._keep()
         if self._is_solid and size > least:
             self._go_back()
-        return len(patterns) > 1
+        return taken
+
+    def _bulk_error(self, bulk: LinearisedBulk) -> float:
+        """Size of what the linearised bulk's forces are off by at z."""
+        p, off = self.problem, self._off.getNestSubVecs()[0]
+        p.bulk_forces.copy(off)
+        p.assemble_bulk()
+        off.aypx(-1.0, p.bulk_forces)
+        return self._size(self._off)
 
     def _keep(self) -> None:
         """Remember the state: of those on the way the one with the least residual is what counts."""
@@ -179,7 +199,7 @@ class ContactIteration:
         size, taken, end = self._follow(), False, 1.0
         while self._pays(size, start, end) and (bulk is not None or self.problem.contact_pattern() == self._before):
             self._keep()
-            self._solve(bulk, SOLVES)
+            self._solve(bulk, SOLVES, min(LINEAR, max(size / start, ENDS / size)))
             self._advance()
             end = 1.0 if taken and size * size / start <= ENDS else ENDS
             start, size = size, self._follow()
@@ -233,15 +253,15 @@ class ContactIteration:
         self._f.axpy(-1.0, self._goal)
         return self._size(self._f)
 
-    def _solve(self, bulk: LinearisedBulk | None, most: int) -> int:
-        """A semi-smooth step from z that takes f away, by no more than `most` solves with the factors; how many it took.
-        Without `bulk` the factors are those of contact's state as well."""
+    def _solve(self, bulk: LinearisedBulk | None, most: int, rtol: float = LINEAR) -> int:
+        """A semi-smooth step from z that takes f away but for a share `rtol`, by no more than `most` solves with the factors;
+        how many it took. Without `bulk` the factors are those of contact's state as well."""
         if bulk is None:
             self._linear.apply(self._f, self._step)
             return 1
         matrix = bulk.renew()
         self._linear.renew_contact(matrix)
-        self._ksp.setTolerances(rtol=LINEAR, max_it=most)
+        self._ksp.setTolerances(rtol=rtol, max_it=most)
         self._ksp.setGMRESRestart(most)
         self._ksp.setOperators(matrix)
         self._ksp.solve(self._f, self._step)

@@ -25,7 +25,6 @@ MOVED = 0.1  # of its diameter that a piece moves or turns by before coarse spac
 MULTIGRID_DEFAULTS: dict[str, str | float] = {
     "bulk_ksp_type": "preonly",
     "bulk_pc_type": "mg",
-    "bulk_pc_mg_galerkin": "both",
     "bulk_mg_coarse_ksp_type": "preonly",
     "bulk_mg_coarse_pc_type": "redundant",
     "spaces_pc_gamg_threshold": 0.0,
@@ -49,45 +48,58 @@ class Multigrid:
         self._first = FirstOrder(problem.bodies) if order_two else None
         self._interpolations: list[PETSc.Mat] = []  # from the coarsest level up
         self._chosen_at: NDArray[np.float64] | None = None  # displacements (owned dofs,)
-        self._of: PETSc.Mat | None = None
 
     def renew(self) -> None:
         """Bring all levels up to date with the problem's matrix (collective)."""
         A = self._problem.blocks[0][0]
-        is_multigrid = PETSc.Options(self._prefix + "bulk_").getString("pc_type", "mg") == "mg"
-        outdated = is_multigrid and self._outdated()
-        if outdated or not is_multigrid:
-            _say_rigid_motions(A, self._positions())
-        if outdated:
-            self._choose(A)
-        if outdated or self._of is None or self._of.handle != A.handle:
-            self._create(is_multigrid)
-        self._of = A
-        pc = self._ksp.getPC()
-        pc.setReusePreconditioner(False)
-        self._ksp.setOperators(A)
-        self._ksp.setUp()
-        pc.setReusePreconditioner(True)
+        self._is_multigrid = PETSc.Options(self._prefix + "bulk_").getString("pc_type", "mg") == "mg"
+        if self._is_multigrid:
+            if self._outdated():
+                self._choose(A)
+            self._coarse = self._coarse_operators(A)
+        self._create(A)
+
+    def follow(self) -> None:
+        """Take the problem's matrix for the finest level, where its pattern has grown; the coarse ones stay (collective)."""
+        A = self._problem.blocks[0][0]
+        if A.handle != self._of.handle:
+            self._create(A)
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """x ← the approximate inverse times b."""
         self._ksp.solve(b, x)
 
-    def _create(self, is_multigrid: bool) -> None:
-        """The solver without operators."""
+    def _coarse_operators(self, A: PETSc.Mat) -> list[PETSc.Mat]:
+        """Galerkin's, from the coarsest level up."""
+        operators: list[PETSc.Mat] = []
+        for P in reversed(self._interpolations):
+            A = A.ptap(P).copy()  # a product would keep the matrix of the finest level alive
+            operators.insert(0, A)
+        return operators
+
+    def _create(self, A: PETSc.Mat) -> None:
+        """The solver with A and the coarse operators."""
+        self._of = A
         self._ksp = PETSc.KSP().create(self._problem.comm)
         self._ksp.setOptionsPrefix(self._prefix + "bulk_")
         self._ksp.setErrorIfNotConverged(False)
-        if is_multigrid:
-            pc, levels = self._ksp.getPC(), len(self._interpolations) + 1
+        self._ksp.setOperators(A)
+        pc = self._ksp.getPC()
+        if self._is_multigrid:
+            levels = len(self._interpolations) + 1
             pc.setType("mg")
             pc.setMGLevels(levels)
-            for k, P in enumerate(self._interpolations, start=1):
+            for k, (P, coarse) in enumerate(zip(self._interpolations, self._coarse, strict=True), start=1):
                 pc.setMGInterpolation(k, P)
+                pc.getMGSmoother(k - 1).setOperators(coarse)
                 finest_of_two = self._first is not None and k == levels - 1
                 # the nodes' blocks are regular where no coarse space has been
                 pc.getMGSmoother(k).getPC().setType("pbjacobi" if finest_of_two else "jacobi")
+        else:
+            _say_rigid_motions(A, self._positions())
         self._ksp.setFromOptions()
+        self._ksp.setUp()
+        pc.setReusePreconditioner(True)
 
     # ---------------------------------------------------------------- coarse spaces
 
@@ -102,6 +114,7 @@ class Multigrid:
     def _choose(self, A: PETSc.Mat) -> None:
         """Choose the coarse spaces from A without contact's share."""
         p = self._problem
+        _say_rigid_motions(A, self._positions())
         if p.pairs:
             A.axpy(-1.0, p.contact_share, structure=_SUBSET)
         K, above = A, []

@@ -372,6 +372,30 @@ class ContactProblem:
             pair.apply_law()
         self.add_contact(f)
 
+    def stick(self, f: PETSc.Vec) -> None:
+        """Let no point slip of pairs that were not in contact before, until :meth:`let_slip`; f follows (collective)."""
+        for pair in self.pairs:
+            if pair.friction:
+                pair.active.stick()
+        if self.sticks:
+            self.reconsider(f)
+
+    @property
+    def sticks(self) -> bool:
+        """Whether there are pairs of which no point may slip for now, the same on all ranks."""
+        return any(pair.active.sticks for pair in self.pairs)
+
+    def let_slip(self, f: PETSc.Vec) -> bool:
+        """Back to Coulomb's law, and f with it; whether that changes the state of any point (collective)."""
+        if not self.sticks:
+            return False
+        before = self.contact_pattern()
+        for pair in self.pairs:
+            if pair.active.sticks:
+                pair.active.thaw()
+        self.reconsider(f)
+        return self.contact_pattern() != before
+
     def support_forces(self) -> list[Array]:
         """Of each body (owned dofs,) the residual in the state last solved for, with what supports bear in the
         prescribed rows (N), collective. In time steps it is the mean over the last one."""
