@@ -255,12 +255,14 @@ class ContactIteration:
 
     def _solve(self, bulk: LinearisedBulk | None, most: int, rtol: float = LINEAR) -> int:
         """A semi-smooth step from z that takes f away but for a share `rtol`, by no more than `most` solves with the factors;
-        how many it took. Without `bulk` the factors are those of contact's state as well."""
+        how many it took. Contact's derivative is the last one's where its state is. Without `bulk` the factors are those of
+        contact's state as well."""
         if bulk is None:
             self._linear.apply(self._f, self._step)
             return 1
-        matrix = bulk.renew()
-        self._linear.renew_contact(matrix)
+        matrix = bulk.matrix()
+        if bulk.is_new:
+            self._linear.renew_contact(matrix)
         self._ksp.setTolerances(rtol=rtol, max_it=most)
         self._ksp.setGMRESRestart(most)
         self._ksp.setOperators(matrix)

@@ -24,16 +24,22 @@ class LinearisedBulk:
         self._problem, self._A = problem, problem.blocks[0][0]
         self._less = without_zeros(problem.contact_share)  # −C₀
         self._less.scale(-1.0)
+        self._pattern: int | None = None  # of contact in the matrix that was made last
 
-    def renew(self) -> PETSc.Mat:
-        """The Jacobian with contact's share at the state last evaluated (collective)."""
+    def matrix(self) -> PETSc.Mat:
+        """The Jacobian with contact's share at the state last evaluated, or at an earlier one in which all points were open,
+        sticking or slipping as they are now; `is_new` says which (collective)."""
         p = self._problem
-        p.assemble_contact()
-        A = PETSc.Mat().createPython((p.bodies.layout.sizes, p.bodies.layout.sizes), self, comm=p.comm)
-        A.setUp()
-        whole = PETSc.Mat().createNest([[A, *p.blocks[0][1:]], *p.blocks[1:]], comm=p.comm)
-        whole.assemble()
-        return whole
+        pattern = p.contact_pattern()
+        self.is_new = pattern != self._pattern
+        if self.is_new:
+            p.assemble_contact()
+            A = PETSc.Mat().createPython((p.bodies.layout.sizes, p.bodies.layout.sizes), self, comm=p.comm)
+            A.setUp()
+            self._whole = PETSc.Mat().createNest([[A, *p.blocks[0][1:]], *p.blocks[1:]], comm=p.comm)
+            self._whole.assemble()
+            self._pattern = pattern
+        return self._whole
 
     def forces(self, u: PETSc.Vec, f: PETSc.Vec) -> None:
         """f ← K u."""
