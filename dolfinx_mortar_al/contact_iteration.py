@@ -12,9 +12,9 @@ contact's share alone from the one that has been factorised, by a low rank where
 with the factors at hand for preconditioner takes few iterations, and no form is assembled.
 
 What is left then is the bulk's nonlinearity alone. Its forces are assembled at that x, as Newton's next iteration would do,
-and further steps are taken with the derivative at 𝐱_k (Shamanskii's method) as long as that pays: in space, where a
-factorisation costs as much as many solves, always; in the plane where contact is what it was at 𝐱_k, so that a solve with the
-factors at hand is all that a step takes.
+and further steps are taken with the derivative at 𝐱_k (Shamanskii's method), and contact's while no point changes its state,
+as long as that pays: in space, where a factorisation costs as much as many solves, always; in the plane where contact is what
+it was at 𝐱_k, so that a solve with the factors at hand is all that a step takes.
 """
 
 from __future__ import annotations
@@ -199,7 +199,7 @@ class ContactIteration:
         size, taken, end = self._follow(), False, 1.0
         while self._pays(size, start, end) and (bulk is not None or self.problem.contact_pattern() == self._before):
             self._keep()
-            self._solve(bulk, SOLVES, min(LINEAR, max(size / start, ENDS / size)))
+            self._solve(bulk, SOLVES, min(LINEAR, max(size / start, ENDS / size)), old=True)
             self._advance()
             end = 1.0 if taken and size * size / start <= ENDS else ENDS
             start, size = size, self._follow()
@@ -253,19 +253,19 @@ class ContactIteration:
         self._f.axpy(-1.0, self._goal)
         return self._size(self._f)
 
-    def _solve(self, bulk: LinearisedBulk | None, most: int, rtol: float = LINEAR) -> int:
+    def _solve(self, bulk: LinearisedBulk | None, most: int, rtol: float = LINEAR, old: bool = False) -> int:
         """A semi-smooth step from z that takes f away but for a share `rtol`, by no more than `most` solves with the factors;
-        how many it took. Contact's derivative is the last one's where its state is. Without `bulk` the factors are those of
-        contact's state as well."""
+        how many it took. An `old` derivative of contact will do where no point has changed its state since. Without `bulk` the
+        factors are those of contact's state as well."""
         if bulk is None:
             self._linear.apply(self._f, self._step)
             return 1
-        matrix = bulk.matrix()
-        if bulk.is_new:
+        if not (old and bulk.pattern == self.problem.contact_pattern()):
+            matrix = bulk.renew()
             self._linear.renew_contact(matrix)
+            self._ksp.setOperators(matrix)
         self._ksp.setTolerances(rtol=rtol, max_it=most)
         self._ksp.setGMRESRestart(most)
-        self._ksp.setOperators(matrix)
         self._ksp.solve(self._f, self._step)
         motion = self.problem.longest_motion(self._step.getNestSubVecs()[0].array_r)
         if self._is_solid and motion > self._longest:

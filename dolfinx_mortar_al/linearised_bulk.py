@@ -18,28 +18,27 @@ class LinearisedBulk:
     That Jacobian's displacement block is A = K + C₀ with contact's share C₀, in rows of the surfaces alone. With contact's
     share C of another state the block is A − C₀ + C: three products, and nothing as large as A is touched, nor what has been
     made from A.
+
+    Attributes:
+        pattern: of contact in the Jacobian made last, None before.
     """
 
     def __init__(self, problem: ContactProblem) -> None:
         self._problem, self._A = problem, problem.blocks[0][0]
         self._less = without_zeros(problem.contact_share)  # −C₀
         self._less.scale(-1.0)
-        self._pattern: int | None = None  # of contact in the matrix that was made last
+        self.pattern: int | None = None
 
-    def matrix(self) -> PETSc.Mat:
-        """The Jacobian with contact's share at the state last evaluated, or at an earlier one in which all points were open,
-        sticking or slipping as they are now; `is_new` says which (collective)."""
+    def renew(self) -> PETSc.Mat:
+        """The Jacobian with contact's share at the state last evaluated (collective)."""
         p = self._problem
-        pattern = p.contact_pattern()
-        self.is_new = pattern != self._pattern
-        if self.is_new:
-            p.assemble_contact()
-            A = PETSc.Mat().createPython((p.bodies.layout.sizes, p.bodies.layout.sizes), self, comm=p.comm)
-            A.setUp()
-            self._whole = PETSc.Mat().createNest([[A, *p.blocks[0][1:]], *p.blocks[1:]], comm=p.comm)
-            self._whole.assemble()
-            self._pattern = pattern
-        return self._whole
+        p.assemble_contact()
+        A = PETSc.Mat().createPython((p.bodies.layout.sizes, p.bodies.layout.sizes), self, comm=p.comm)
+        A.setUp()
+        whole = PETSc.Mat().createNest([[A, *p.blocks[0][1:]], *p.blocks[1:]], comm=p.comm)
+        whole.assemble()
+        self.pattern = p.contact_pattern()
+        return whole
 
     def forces(self, u: PETSc.Vec, f: PETSc.Vec) -> None:
         """f ← K u."""

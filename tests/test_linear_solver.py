@@ -195,7 +195,7 @@ def test_contacts_patch_leaves_no_residual_in_it():
         if name.startswith("surface_"):
             PETSc.Options("patch_")[name.removeprefix("surface_")] = value
     patch, bulk = ContactPatch(problem, "patch_"), LinearisedBulk(problem)
-    for matrix in (problem.matrix, bulk.matrix()):
+    for matrix in (problem.matrix, bulk.renew()):
         patch.renew(matrix.getNestSubMatrix(0, 0))
         b, x, r, left = *(problem.x.duplicate() for _ in range(3)), problem.bodies.layout.vector()
         for part in b.getNestSubVecs():
