@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 
 CUT_WITHOUT_PROGRESS = 1 / 4  # of an increment after a failure in which Newton made no progress at all
 SMALLEST = 2.0**-10  # increment, as a share of the asked-for one, below which a march gives up
+LEAP = 1 / 4  # of an increment, down to which a step from a stable equilibrium to an unstable one is tried again
 NEARLY = 1e-9  # of an increment: round-off in a position to go on from
 PARALLEL = 1e-12  # one minus the squared cosine between the directions of two stages that count as one line
 
@@ -39,6 +40,7 @@ UNSTABLE = Finding(
     "move with dynamics.march",
     False,
 )
+LEAPT = "an unstable equilibrium, reached from a stable one"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -294,6 +296,7 @@ class _LoadControl(Controller[Step]):
         self._legs, self._event, self._predictor = legs, event, Predictor(problem)
         self.leg, self._start = int(start), start - int(start)
         self._leg_over = self._over = False
+        self._was_unstable = self._unstable = False  # the last accepted equilibrium, and that of the last trial
         # whether the next, any trial of this step does without a prediction
         self._from_last = self._tried_from_last = False
         self._path = start
@@ -337,6 +340,10 @@ class _LoadControl(Controller[Step]):
         with leg.watch:
             leg.load.set(leg.value(self._x))
         attempt = _solve(self.problem, self.solver)
+        self._unstable = UNSTABLE in attempt.findings
+        if attempt.good and self._unstable and not self._was_unstable:
+            # a body does not come to rest there: there may be a stable equilibrium that this step has leapt over
+            attempt.good, attempt.message = stepping.CUT * length < max(LEAP, self.smallest), LEAPT
         again = not attempt.newton.converged and not self._tried_from_last and bool(self.problem.floating)
         # A prediction may leave nothing closed or sticking that holds a body which only contact holds; the last state has it.
         self._from_last = again and predicted
@@ -354,6 +361,7 @@ class _LoadControl(Controller[Step]):
 
     def accept(self, done: stepping.Step) -> Step:
         leg, stage = self._legs[self.leg], self.leg
+        self._was_unstable = self._unstable
         self._from_last = self._tried_from_last = False
         self.problem.commit()
         leg.x, self._at = self._x, self._tried

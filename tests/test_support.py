@@ -207,6 +207,24 @@ def test_the_unstable_branch_of_a_balloon_is_named():
     assert not any(below) and len(beyond) > 0 and all(beyond)
 
 
+def test_an_unstable_equilibrium_is_taken_where_no_shorter_step_ends_in_a_stable_one():
+    """A straight column, clamped at both ends and shortened, is in equilibrium at any load, but unstable beyond a strain of
+    4π²/12 (h/L)² (Euler: .033, shear apart): the step there is tried again, down to a quarter of the increment."""
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [[0, 0], [10, 1]], [10, 1], mesh.CellType.quadrilateral)
+    V = fem.functionspace(domain, ("Lagrange", 2, (2,)))
+    moved, bcs = fem.Constant(domain, (0.0, 0.0)), []
+    for x, value in ((0.0, fem.Constant(domain, (0.0, 0.0))), (10.0, moved)):
+        end = mesh.locate_entities_boundary(domain, 1, lambda X, x=x: np.isclose(X[0], x))
+        bcs.append(fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, end), V))
+    u = fem.Function(V)
+    problem = ContactProblem(materials.saint_venant_kirchhoff(1e5, 0.3).virtual_work(u), u, bcs=bcs)
+    with pytest.warns(UserWarning, match="this equilibrium is unstable") if problem.comm.rank == 0 else _nothing():
+        steps = list(quasistatic.march(problem, moved, to=(-0.5, 0.0), increments=1))
+    assert [step.load for step in steps] == [0.5, 0.75, 1.0]
+    assert [step.rejected for step in steps] == [1, 1, 0]
+    assert [bool(step.findings) for step in steps] == [False, True, True]
+
+
 @pytest.mark.parametrize(("signs", "said"), [([1.0, -1.0, 1.0], True), ([-1.0, 1.0, -1.0], False), ([], False)])
 def test_an_unstable_equilibrium_is_named_where_newton_came_nearest(signs, said):
     """Of three iterates the second has the least residual; what the determinant is at wild ones says nothing."""
