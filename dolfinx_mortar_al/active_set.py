@@ -40,12 +40,10 @@ class ActiveSet:
 
     Attributes:
         closed: (n,) points that count as closed.
-        frozen: (n,) friction bound in place of μp (Pa), not a number where it is free; None if all are. Infinite where a
-            point sticks, come what may.
+        frozen: (n,) friction bound in place of μp (Pa), not a number where it is free; None if all are.
         trust: gaps are trusted to this many times their error.
         guessed: whether `closed` is a first guess rather than what a converged step left.
         cautious: whether the rules of statics hold; if not, the sign of λ̂_N decides alone.
-        sticks: whether no point may slip for now.
     """
 
     def __init__(self, blocks: Blocks, comm: MPI.Intracomm) -> None:
@@ -53,23 +51,22 @@ class ActiveSet:
         n = blocks.points.size
         self.closed: Bool = np.zeros(n, dtype=bool)
         self.frozen: Array | None = None
-        self.guessed, self.cautious, self.sticks = True, True, False
+        self.guessed, self.cautious = True, True
         self.trust = TRUST
         self._guess: Bool = self.closed.copy()
         self._losses: Index = np.zeros(n, dtype=np.int64)
         self._were_in_contact: Bool = np.zeros(n, dtype=bool)
-        self._pardoned, self._is_new = False, False
+        self._pardoned = False
         self._blocks = blocks
         self._node_area = self._area(np.ones(n, dtype=bool))
 
     def begin(self, were_in_contact: Bool) -> None:
         """A new solve: gaps are trusted as at first, bounds are free, and points may come back to the target; (n,) says which
         points are on facets that were in contact in the last equilibrium."""
-        self.trust, self._weak_may_open, self.frozen, self.sticks = TRUST, self.guessed, None, False
+        self.trust, self._weak_may_open, self.frozen = TRUST, self.guessed, None
         self._guess = self.closed & self.guessed
         self._losses[:], self._pardoned = 0, False
         self._were_in_contact = were_in_contact
-        self._is_new = self.cautious and not any_over(self._comm, were_in_contact.any())
 
     def transfer(self, origin: Index) -> None:
         """Other points: each takes over what is known of the former point `origin` (n,), but for slides off the target, where
@@ -174,15 +171,9 @@ class ActiveSet:
         """Hold the friction bound of closed points at its present μp: Tresca's law, which has no stick–slip cycles."""
         self.frozen = np.where(state.status != OPEN, μ * np.maximum(state.p, 0.0), np.nan)
 
-    def stick(self) -> None:
-        """Where nothing was in contact let no point slip until :meth:`thaw`: while pressures are made up, and λ̂_T with them,
-        they say neither whether it would, nor which way."""
-        if self._is_new:
-            self.frozen, self.sticks = np.full(self.closed.shape, np.inf), True
-
     def thaw(self) -> None:
         """Back to Coulomb's law."""
-        self.frozen, self.sticks = None, False
+        self.frozen = None
 
     def staleness(self, state: LawState, μ: float) -> float:
         """Largest difference between frozen bounds and μp, as a share of the largest μp (collective)."""

@@ -36,6 +36,8 @@ CHORD = 0.2  # of the residual: steps with an old derivative go on while each le
 SOLVES = 8  # at most in one of them
 ENDS = 0.01  # of the tolerance: once begun they go on to it, as they converge linearly and Newton's last step does not
 AFFORDED = 5.0  # of them that may be to come in the plane: Newton's next iteration costs four (bars) to six (disc)
+ASTRAY = 4.0  # times the least residual so far: semi-smooth steps with more in space go on from there by Tresca's law,
+FROZEN = 0.1  # until this is left of it
 LINEAR = 0.1  # relative tolerance of GMRES: with 0.01 a fifth less steps for a fifth more solves
 
 
@@ -108,7 +110,6 @@ class ContactIteration:
         self._total.set(0.0)
         self._evaluate()
         settled, whole = p.contact_pattern() == self._before, share == 1.0
-        settled = settled and not p.let_slip(self._f)
         if settled and not whole:
             return None
         # where contact has not changed a direct solver's factors are those of its share, too
@@ -128,31 +129,48 @@ class ContactIteration:
 
     def _settle(self, bulk: LinearisedBulk, enough: float, start: float) -> bool:
         """Semi-smooth steps on the linearised bulk until `enough` of the residual is left, or in space, below `start`, the
-        error of its forces; whether any was taken. Points that were to stick may slip from there on."""
-        p = self.problem
-        patterns, left, taken = [p.contact_pattern()], self._linear.affordable_solves(), False
+        error of its forces; whether any was taken. In space Tresca's law leads on where Coulomb's leads astray."""
+        patterns, left, taken = [self.problem.contact_pattern()], self._linear.affordable_solves(), False
         size = least = self._balance(bulk)
         if self._is_solid:
             self._keep()
         while left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
-            if self._is_solid and size < start and not p.sticks and size < self._bulk_error(bulk):
+            if self._is_solid and size < start and size < self._bulk_error(bulk):
                 break
             left -= self._solve(bulk, left)
             self._advance()
             size, taken = self._balance(bulk), True
-            patterns.append(p.contact_pattern())
-            if p.sticks and (size < start or patterns[-1] == patterns[-2]):
-                p.let_slip(self._f)
-                patterns = [p.contact_pattern()]
+            patterns.append(self.problem.contact_pattern())
+            if self._is_solid and size > ASTRAY * least and self.problem.free_bounds:
+                left -= self._settle_frozen(bulk, left)
                 size = least = self._balance(bulk)
-                if self._is_solid:
-                    self._keep()
-            if self._is_solid and size < least:
+                patterns = [self.problem.contact_pattern()]
+                self._keep()
+            elif self._is_solid and size < least:
                 least = size
                 self._keep()
         if self._is_solid and size > least:
             self._go_back()
         return taken
+
+    def _settle_frozen(self, bulk: LinearisedBulk, left: int) -> int:
+        """From the state that was kept semi-smooth steps with friction bounds frozen until FROZEN of its residual is left
+        or no point changes its state, by no more than `left` solves; how many they took."""
+        p = self.problem
+        self._go_back()
+        pairs = p.freeze_bounds()
+        for pair in pairs:
+            pair.apply_law()
+        start = size = self._balance(bulk)
+        solves, before, pattern = 0, None, p.contact_pattern()
+        while solves < left and size > FROZEN * start and pattern != before:
+            solves += self._solve(bulk, left - solves)
+            self._advance()
+            size, before, pattern = self._balance(bulk), pattern, p.contact_pattern()
+        for pair in pairs:
+            pair.active.thaw()
+            pair.apply_law()
+        return solves
 
     def _bulk_error(self, bulk: LinearisedBulk) -> float:
         """Size of what the linearised bulk's forces are off by at z."""
@@ -255,7 +273,7 @@ class ContactIteration:
 
     def _solve(self, bulk: LinearisedBulk | None, most: int, rtol: float = LINEAR, old: bool = False) -> int:
         """A semi-smooth step from z that takes f away but for a share `rtol`, by no more than `most` solves with the factors;
-        how many it took. An `old` derivative of contact will do where no point has changed its state since. Without `bulk` the
+        how many it took. An `old` derivative of contact will do where no point has changed its state. Without `bulk` the
         factors are those of contact's state as well."""
         if bulk is None:
             self._linear.apply(self._f, self._step)

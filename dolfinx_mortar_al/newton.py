@@ -214,8 +214,6 @@ class NewtonSolver:
             pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs
         ):
             pardoned = [pair.active.pardon(pair.state, pair.kinematics) for pair in self.problem.pairs]
-            if iteration > 0 and self.problem.let_slip(snes.getFunction()[0]):
-                return None
             if not any(pardoned) and not self._bounds_are_stale(iteration) and not self._slides(iteration):
                 return None if self._lets_go(iteration) else _Reason.CONVERGED_FNORM_ABS
             if self._moves > MAX_MOVES:
@@ -249,13 +247,9 @@ class NewtonSolver:
 
     def _update(self, snes: PETSc.SNES, iteration: int) -> None:
         """At the start of an iteration the active sets change, and the residual with them."""
-        f = snes.getFunction()[0]
         if iteration > 0:
-            self.problem.follow(f)
-            self.problem.let_slip(f)
-        elif self.linear.is_solid:
-            self.problem.stick(f)
-        if self.problem.decide(f):
+            self.problem.follow(snes.getFunction()[0])
+        if self.problem.decide(snes.getFunction()[0]):
             self._set_since = iteration
 
     def _watch_pattern(self, iteration: int) -> int | None:
@@ -284,9 +278,7 @@ class NewtonSolver:
 
     def _freeze(self, iteration: int) -> bool:
         """Freeze the friction bounds; whether there were any that were free."""
-        free = [pair for pair in self.problem.pairs if pair.friction and pair.active.frozen is None]
-        for pair in free:
-            pair.active.freeze(pair.state, pair.friction_coefficient)
+        free = self.problem.freeze_bounds()
         self._law_since = iteration if free else self._law_since
         return bool(free)
 

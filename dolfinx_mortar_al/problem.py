@@ -372,29 +372,17 @@ class ContactProblem:
             pair.apply_law()
         self.add_contact(f)
 
-    def stick(self, f: PETSc.Vec) -> None:
-        """Let no point slip of pairs that were not in contact before, until :meth:`let_slip`; f follows (collective)."""
-        for pair in self.pairs:
-            if pair.friction:
-                pair.active.stick()
-        if self.sticks:
-            self.reconsider(f)
-
     @property
-    def sticks(self) -> bool:
-        """Whether there are pairs of which no point may slip for now, the same on all ranks."""
-        return any(pair.active.sticks for pair in self.pairs)
+    def free_bounds(self) -> list[ContactPair]:
+        """The pairs with friction bounds that are not frozen."""
+        return [pair for pair in self.pairs if pair.friction and pair.active.frozen is None]
 
-    def let_slip(self, f: PETSc.Vec) -> bool:
-        """Back to Coulomb's law, and f with it; whether that changes the state of any point (collective)."""
-        if not self.sticks:
-            return False
-        before = self.contact_pattern()
-        for pair in self.pairs:
-            if pair.active.sticks:
-                pair.active.thaw()
-        self.reconsider(f)
-        return self.contact_pattern() != before
+    def freeze_bounds(self) -> list[ContactPair]:
+        """Hold the bounds that are free at their present μp: Tresca's law; returns their pairs."""
+        free = self.free_bounds
+        for pair in free:
+            pair.active.freeze(pair.state, pair.friction_coefficient)
+        return free
 
     def support_forces(self) -> list[Array]:
         """Of each body (owned dofs,) the residual in the state last solved for, with what supports bear in the

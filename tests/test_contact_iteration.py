@@ -11,11 +11,9 @@ from scenes import beams, tip
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import ironing
-import scaling
 
 from dolfinx_mortar_al import Body, ContactProblem, NewtonSolver, contact_iteration, materials, quasistatic
 from dolfinx_mortar_al.contact_iteration import ContactIteration
-from dolfinx_mortar_al.law import SLIP
 
 
 def bent(friction):
@@ -119,22 +117,3 @@ def test_segments_follow_within_an_iteration():
         counts[integration] = [step.iterations for _, step in ironing.iron(scene, problem, top)]
         assert np.allclose(problem.pairs[0].force(), [-3.58, -1.15, 12.2], rtol=0.02)
     assert sum(counts["segments"]) <= sum(counts["gauss"]) + 1
-
-
-def test_what_was_not_in_contact_sticks_while_pressures_are_made_up():
-    """A domed block above another one overlaps it at the start of a step: no point slips until they may, and then those do
-    whose traction is beyond Coulomb's bound. In the next step there is a history, and all may slip at once."""
-    problem, top = scaling.build(scaling.Row(size=1e3, friction=0.05))
-    f = problem.residual
-    for _, step in scaling.press_and_drag(problem, top, NewtonSolver(problem), (2, 0)):
-        assert step.rejected == 0 and not problem.sticks
-    (pair,) = problem.pairs
-    slipping = problem.comm.allreduce(int((pair.state.status == SLIP).sum()))
-    assert slipping > 0
-    problem.stick(f)  # a history: nothing happens
-    assert not problem.sticks
-    pair.active.begin(np.zeros_like(pair.active.closed))
-    problem.stick(f)
-    assert problem.sticks and not (pair.state.status == SLIP).any()
-    assert problem.let_slip(f) and not problem.sticks
-    assert problem.comm.allreduce(int((pair.state.status == SLIP).sum())) == slipping

@@ -183,6 +183,17 @@ def test_sliding_asks_no_more_of_multigrid_than_sticking():
     assert newton.contact_iteration.solves <= 120
 
 
+def test_trescas_law_leads_on_where_coulombs_leads_astray():
+    """A domed block ten times as stiff as the one below and with the finer mesh, of which pressures alternate, μ = 0.6: with
+    Coulomb's law alone the first step of the drag took 82 Newton iterations and a rejected trial on one rank."""
+    problem, top = scaling.build(scaling.Row(size=1e4, friction=0.6))
+    newton = solver(problem, "iterative")
+    for _, step in scaling.press_and_drag(problem, top, newton, (2, 1)):
+        assert step.rejected == 0 and step.iterations <= 4
+        assert problem.free_bounds == problem.pairs  # Coulomb's law is what has converged
+    assert newton.contact_iteration.steps <= 90
+
+
 def test_contacts_patch_leaves_no_residual_in_it():
     """Its solution for any right-hand side fulfils the gaps' equations, and those of its nodes; what it leaves elsewhere is
     what it says, with contact as assembled and as the linearised bulk has it."""
