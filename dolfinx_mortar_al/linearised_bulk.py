@@ -32,6 +32,7 @@ class LinearisedBulk:
     def renew(self) -> PETSc.Mat:
         """The Jacobian with contact's share at the state last evaluated (collective)."""
         p = self._problem
+        PETSc.garbage_cleanup(p.comm)  # on several ranks what Python has let go of stays until all ask
         p.assemble_contact()
         A = PETSc.Mat().createPython((p.bodies.layout.sizes, p.bodies.layout.sizes), self, comm=p.comm)
         A.setUp()

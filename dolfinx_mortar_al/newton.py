@@ -184,6 +184,7 @@ class NewtonSolver:
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         self.problem.tension = self._fictitious_tension()
         first, last = max(self.result.norms[0]), max(self.result.norms[-1])
+        PETSc.garbage_cleanup(self.problem.comm)  # on several ranks what Python has let go of stays until all ask
         self.problem.spring_share = SPRING * min(first, last) / max(first, 1e-300)
         self.problem.assemble_jacobian()
         self.linear.forget_ties()

@@ -1,6 +1,7 @@
 """The iterative solver: the answers of the direct one in every state of contact, and what happens where it fails."""
 
 import logging
+import resource
 import sys
 from pathlib import Path
 
@@ -192,6 +193,25 @@ def test_trescas_law_leads_on_where_coulombs_leads_astray():
         assert step.rejected == 0 and step.iterations <= 4
         assert problem.free_bounds == problem.pairs  # Coulomb's law is what has converged
     assert newton.contact_iteration.steps <= 90
+
+
+def test_what_semi_smooth_steps_leave_is_freed_on_all_ranks():
+    """On several ranks PETSc keeps what Python has let go of until all ask for it to be freed; without that thirty
+    semi-smooth steps of this size keep 140 MB on two ranks, and a march of four steps at 1e5 unknowns 3 GB."""
+    problem, top = scaling.build(scaling.Row(5e3))
+    newton = solver(problem, "iterative")
+    for _ in scaling.press_and_drag(problem, top, newton, steps=(1, 0)):
+        pass
+    bulk = LinearisedBulk(problem)
+
+    def resident(renewals):
+        for _ in range(renewals):
+            newton.linear.renew_contact(bulk.renew())
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return problem.comm.allreduce(pages) * resource.getpagesize() / 2**20
+
+    warm = resident(5)
+    assert resident(30) - warm < 40.0
 
 
 def test_contacts_patch_leaves_no_residual_in_it():
