@@ -13,13 +13,16 @@ with the factors at hand for preconditioner takes few iterations, and no form is
 
 What is left then is the bulk's nonlinearity alone. Its forces are assembled at that x, as Newton's next iteration would do,
 and further steps are taken with the derivative at 𝐱_k (Shamanskii's method), and contact's while no point changes its state,
-as long as that pays: in space, where a factorisation costs as much as many solves, always; in the plane where contact is what
-it was at 𝐱_k, so that a solve with the factors at hand is all that a step takes.
+as long as that pays. In space, where a factorisation costs as much as many solves, that is while each takes half of the
+residual away, and contact settles anew where points change their state; in the plane where contact is what it was at 𝐱_k, so
+that a solve with the factors at hand is all that a step takes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
@@ -32,7 +35,8 @@ from dolfinx_mortar_al.reductions import any_over
 __all__ = ["ContactIteration"]
 
 ENOUGH = 0.01  # of the residual that Newton's step started from: the bulk's nonlinearity leaves as much
-CHORD = 0.2  # of the residual: steps with an old derivative go on while each leaves less
+CHORD = 0.2  # of the residual: steps with an old derivative go on while each leaves less,
+HALF = 0.5  # in space, where a Newton iteration costs several of them
 SOLVES = 8  # at most in one of them
 ENDS = 0.01  # of the tolerance: once begun they go on to it, as they converge linearly and Newton's last step does not
 AFFORDED = 5.0  # of them that may be to come in the plane: Newton's next iteration costs four (bars) to six (disc)
@@ -49,6 +53,14 @@ class _Inverse:
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
         self._linear.apply(b, x)
+
+
+@dataclass
+class _Kept:
+    """A state on the way: what has been added to Newton's step, and the active sets' decisions there."""
+
+    total: PETSc.Vec
+    decisions: list[Any] = field(default_factory=list)
 
 
 class ContactIteration:
@@ -71,7 +83,8 @@ class ContactIteration:
         # in the plane thin belts would fly off, and membranes take more iterations, by what settles contact in space
         self._is_solid = linear.is_solid
         self.steps = self.solves = 0
-        self._z, self._step, self._total, self._best, self._way = (problem.x.duplicate() for _ in range(5))
+        self._z, self._step, self._total, self._way = (problem.x.duplicate() for _ in range(4))
+        self._best, self._safe = (_Kept(problem.x.duplicate()) for _ in range(2))
         self._f, self._goal, self._off = (problem.residual.duplicate() for _ in range(3))
         self._off.set(0.0)
         self._forces = problem.bulk_forces.duplicate()
@@ -107,6 +120,7 @@ class ContactIteration:
         self._goal.scale(1.0 - share)
         self._decisions, self._before = [pair.decisions() for pair in p.pairs], p.contact_pattern()
         p.bulk_forces.copy(self._forces)
+        self._left = self._linear.affordable_solves()
         self._total.set(0.0)
         self._evaluate()
         settled, whole = p.contact_pattern() == self._before, share == 1.0
@@ -130,47 +144,46 @@ class ContactIteration:
     def _settle(self, bulk: LinearisedBulk, enough: float, start: float) -> bool:
         """Semi-smooth steps on the linearised bulk until `enough` of the residual is left, or in space, below `start`, the
         error of its forces; whether any was taken. In space Tresca's law leads on where Coulomb's leads astray."""
-        patterns, left, taken = [self.problem.contact_pattern()], self._linear.affordable_solves(), False
+        patterns, taken = [self.problem.contact_pattern()], False
         size = least = self._balance(bulk)
         if self._is_solid:
-            self._keep()
-        while left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
+            self._keep(self._best)
+        while self._left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
             if self._is_solid and size < start and size < self._bulk_error(bulk):
                 break
-            left -= self._solve(bulk, left)
+            self._solve(bulk, self._left)
             self._advance()
             size, taken = self._balance(bulk), True
             patterns.append(self.problem.contact_pattern())
             if self._is_solid and size > ASTRAY * least and self.problem.free_bounds:
-                left -= self._settle_frozen(bulk, left)
+                self._settle_frozen(bulk)
                 size = least = self._balance(bulk)
                 patterns = [self.problem.contact_pattern()]
-                self._keep()
+                self._keep(self._best)
             elif self._is_solid and size < least:
                 least = size
-                self._keep()
+                self._keep(self._best)
         if self._is_solid and size > least:
-            self._go_back()
+            self._go_back(self._best)
         return taken
 
-    def _settle_frozen(self, bulk: LinearisedBulk, left: int) -> int:
+    def _settle_frozen(self, bulk: LinearisedBulk) -> None:
         """From the state that was kept semi-smooth steps with friction bounds frozen until FROZEN of its residual is left
-        or no point changes its state, by no more than `left` solves; how many they took."""
+        or no point changes its state."""
         p = self.problem
-        self._go_back()
+        self._go_back(self._best)
         pairs = p.freeze_bounds()
         for pair in pairs:
             pair.apply_law()
         start = size = self._balance(bulk)
-        solves, before, pattern = 0, None, p.contact_pattern()
-        while solves < left and size > FROZEN * start and pattern != before:
-            solves += self._solve(bulk, left - solves)
+        before, pattern = None, p.contact_pattern()
+        while self._left > 0 and size > FROZEN * start and pattern != before:
+            self._solve(bulk, self._left)
             self._advance()
             size, before, pattern = self._balance(bulk), pattern, p.contact_pattern()
         for pair in pairs:
             pair.active.thaw()
             pair.apply_law()
-        return solves
 
     def _bulk_error(self, bulk: LinearisedBulk) -> float:
         """Size of what the linearised bulk's forces are off by at z."""
@@ -180,15 +193,15 @@ class ContactIteration:
         off.aypx(-1.0, p.bulk_forces)
         return self._size(self._off)
 
-    def _keep(self) -> None:
+    def _keep(self, state: _Kept) -> None:
         """Remember the state: of those on the way the one with the least residual is what counts."""
-        self._total.copy(self._best)
-        self._chosen = [pair.decisions() for pair in self.problem.pairs]
+        self._total.copy(state.total)
+        state.decisions = [pair.decisions() for pair in self.problem.pairs]
 
-    def _go_back(self) -> None:
+    def _go_back(self, state: _Kept) -> None:
         """To the state that was kept."""
-        self._best.copy(self._total)
-        for pair, saved in zip(self.problem.pairs, self._chosen, strict=True):
+        state.total.copy(self._total)
+        for pair, saved in zip(self.problem.pairs, state.decisions, strict=True):
             pair.undo_decisions(saved)
         self._evaluate()
 
@@ -212,25 +225,37 @@ class ContactIteration:
 
     def _take_chords(self, bulk: LinearisedBulk | None, start: float) -> tuple[bool, float]:
         """Steps from z with the bulk's derivative at x, and without `bulk` contact's as well while it is as it was there, as
-        long as each leaves a share CHORD of the residual or less; whether any was taken, and what is left. One that leaves
-        more is undone. What is left below the tolerance where they should have left less than ENDS is round-off."""
+        long as they pay; whether any was taken, and what is left. In space contact settles in each. One after which more is
+        left is undone. What is left below the tolerance where they should have left less than ENDS is round-off."""
         size, taken, end = self._follow(), False, 1.0
         while self._pays(size, start, end) and (bulk is not None or self.problem.contact_pattern() == self._before):
-            self._keep()
+            self._keep(self._safe)
+            pattern = self.problem.contact_pattern()
+            if bulk is not None and self._is_solid:
+                self._linearise_again(bulk)
             self._solve(bulk, SOLVES, min(LINEAR, max(size / start, ENDS / size)), old=True)
             self._advance()
+            if bulk is not None and self._is_solid and self.problem.contact_pattern() != pattern:
+                self._settle(bulk, 1.0, size)
             end = 1.0 if taken and size * size / start <= ENDS else ENDS
             start, size = size, self._follow()
             if not size < start:
-                self._go_back()
+                self._go_back(self._safe)
                 return taken, self._follow()
             taken = True
         return taken, size
 
+    def _linearise_again(self, bulk: LinearisedBulk) -> None:
+        """From now on the linearised bulk's forces are right at z, where they have been assembled; its derivative stays."""
+        bulk.forces(self._way.getNestSubVecs()[0], self._forces)
+        self._forces.axpy(1.0, self.problem.bulk_forces)
+
     def _pays(self, size: float, start: float, end: float) -> bool:
         """Whether to take a step with the old derivative towards `end`, the last step having left `size` of `start`."""
         share = size / start if start > 0 else 1.0
-        return end < size and share < CHORD and (self._is_solid or np.log(end / size) / np.log(share) <= AFFORDED)
+        if not end < size or share >= (HALF if self._is_solid else CHORD):
+            return False
+        return self._is_solid or bool(np.log(end / size) / np.log(share) <= AFFORDED)
 
     def undo(self) -> None:
         """Take back the decisions of :meth:`improve`."""
@@ -271,13 +296,13 @@ class ContactIteration:
         self._f.axpy(-1.0, self._goal)
         return self._size(self._f)
 
-    def _solve(self, bulk: LinearisedBulk | None, most: int, rtol: float = LINEAR, old: bool = False) -> int:
-        """A semi-smooth step from z that takes f away but for a share `rtol`, by no more than `most` solves with the factors;
-        how many it took. An `old` derivative of contact will do where no point has changed its state. Without `bulk` the
-        factors are those of contact's state as well."""
+    def _solve(self, bulk: LinearisedBulk | None, most: int, rtol: float = LINEAR, old: bool = False) -> None:
+        """A semi-smooth step from z that takes f away but for a share `rtol`, by no more than `most` solves with the factors.
+        An `old` derivative of contact will do where no point has changed its state. Without `bulk` the factors are those of
+        contact's state as well."""
         if bulk is None:
             self._linear.apply(self._f, self._step)
-            return 1
+            return
         if not (old and bulk.pattern == self.problem.contact_pattern()):
             matrix = bulk.renew()
             self._linear.renew_contact(matrix)
@@ -285,10 +310,13 @@ class ContactIteration:
         self._ksp.setTolerances(rtol=rtol, max_it=most)
         self._ksp.setGMRESRestart(most)
         self._ksp.solve(self._f, self._step)
+        if self._ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_NANORINF:
+            self._step.set(0.0)  # the patch's factors are singular
+            self._left = 0
+            return
         motion = self.problem.longest_motion(self._step.getNestSubVecs()[0].array_r)
         if self._is_solid and motion > self._longest:
             # pressures of points closed by mistake may exceed the stiffness of what they press
             self._step.scale(self._longest / motion)
         solves = self._ksp.getIterationNumber() + (not self._linear.iterative)
-        self.steps, self.solves = self.steps + 1, self.solves + solves
-        return int(solves)
+        self.steps, self.solves, self._left = self.steps + 1, self.solves + solves, self._left - solves

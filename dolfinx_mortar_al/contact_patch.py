@@ -14,7 +14,14 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.petsc_blocks import without_zeros
 from dolfinx_mortar_al.problem import ContactProblem
 
-__all__ = ["ContactPatch"]
+__all__ = ["PATCH_DEFAULTS", "ContactPatch"]
+
+#: PETSc options of the factors
+PATCH_DEFAULTS: dict[str, str | float] = {
+    "ksp_type": "preonly",
+    "pc_type": "lu",
+    "pc_factor_mat_solver_type": "mumps",
+}
 
 Index = NDArray[np.int32]
 

@@ -20,7 +20,9 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from dolfinx_mortar_al.block_preconditioner import BLOCK_DEFAULTS, BlockPreconditioner
+from dolfinx_mortar_al.block_preconditioner import SURFACE, BlockPreconditioner, PatchedFactors
+from dolfinx_mortar_al.contact_patch import PATCH_DEFAULTS
+from dolfinx_mortar_al.multigrid import MULTIGRID_DEFAULTS
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.reductions import min_over
 
@@ -32,6 +34,7 @@ MOST = (
     200  # iterations of FGMRES before it counts as failed, good states take up to 30; solves of a Newton step's contact
 )
 RESTART = 60
+PATCHED_ABOVE = 3_000  # displacement unknowns: on smaller meshes contact's patch is nearly the whole matrix
 WORKSPACE, TOO_LITTLE_WORKSPACE = 100, (-8, -9)  # % that MUMPS gets beside its estimate; its codes for "not enough"
 TOO_LARGE = (-13, -19)  # MUMPS' codes where memory does not suffice
 SHARE = 0.8  # of the memory that is free, which factors may take
@@ -66,7 +69,8 @@ class LinearSolver:
         self.iterative = problem.spare_pattern = self._choose()
         self._workspace = WORKSPACE
         self.iterations = self.solves = self.failures = 0
-        self.forget_ties()
+        self._patched: PatchedFactors | None = None
+        self.forget()
 
     def _choose(self) -> bool:
         """Whether to iterate: as the options say, or by the number of unknowns that fill makes dear.
@@ -97,7 +101,8 @@ class LinearSolver:
             self._default("", self._mumps_defaults())
 
     def _configure_iterative(self, ksp: PETSc.KSP) -> None:
-        self._default("", BLOCK_DEFAULTS)
+        self._default("", MULTIGRID_DEFAULTS)
+        self._default(SURFACE, PATCH_DEFAULTS)
         self._blocks = BlockPreconditioner(self.problem, self._prefix)
         ksp.setType("fgmres")
         ksp.setGMRESRestart(RESTART)
@@ -207,18 +212,26 @@ class LinearSolver:
     # ---------------------------------------------------------------- the same matrix with another state of contact
 
     def apply(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """x ← the inverse, or FGMRES' approximation of it, of the bodies' last Jacobian times b."""
+        """x ← the last Jacobian's inverse times b, or that of the preconditioner; once :meth:`renew_contact` has been called
+        nearly the inverse of its matrix."""
+        if self.iterative and self._failure is None:
+            self._blocks.apply(self._ksp.getPC(), b, x)
+        elif self._is_patched and self._patched is not None:
+            self._patched.apply(b, x)
+        else:
+            self._apply_factors(b, x)
+
+    def _apply_factors(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         if not self.iterative:
             self._ksp.getPC().getFactorMatrix().solve(b, x)
             self.add_ties(x)
-        elif self._failure is None:
-            self._blocks.apply(self._ksp.getPC(), b, x)
         else:
             self._factorised().getPC().getFactorMatrix().solve(b, x)
 
-    def forget_ties(self) -> None:
-        """The Jacobian is another one."""
+    def forget(self) -> None:
+        """The Jacobian is another one: what was made from the last goes."""
         self._ties: list[PETSc.Vec] | None = None
+        self._is_patched = False
 
     def response(self, forces: NDArray[np.float64]) -> NDArray[np.float64]:
         """(owned dofs,) displacements that nodal forces (owned dofs,) lead to, with the Jacobian solved with last
@@ -256,6 +269,12 @@ class LinearSolver:
         """Contact's share has changed, which makes the Jacobian this `matrix`: bring up to date what costs little."""
         if self.iterative and self._failure is None:
             self._blocks.renew_contact(matrix.getNestSubMatrix(0, 0))
+        elif self.is_solid and self.problem.bodies.layout.sizes[1] > PATCHED_ABOVE:
+            if self._patched is None:
+                self._default(SURFACE, PATCH_DEFAULTS)
+                self._patched = PatchedFactors(self.problem, self._prefix, self._apply_factors)
+            self._patched.renew_contact(matrix.getNestSubMatrix(0, 0))
+            self._is_patched = True
 
     @property
     def is_solid(self) -> bool:

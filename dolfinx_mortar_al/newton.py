@@ -187,7 +187,7 @@ class NewtonSolver:
         PETSc.garbage_cleanup(self.problem.comm)  # on several ranks what Python has let go of stays until all ask
         self.problem.spring_share = SPRING * min(first, last) / max(first, 1e-300)
         self.problem.assemble_jacobian()
-        self.linear.forget_ties()
+        self.linear.forget()
         if self.problem.matrix.handle != A.handle:  # a new pattern
             snes.setJacobian(self._jacobian, self.problem.matrix)
         self._linear_start = self.problem.stopwatch.clock()
