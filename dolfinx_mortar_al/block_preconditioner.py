@@ -1,8 +1,8 @@
 """Preconditioners for [U, Λ]: factors of a surface's size first, then what knows the bodies.
 
 The patch of nodes that contact acts on, with all multipliers, is solved exactly (`contact_patch`). What it leaves of the
-forces goes through one cycle of multigrid (`multigrid`) for the displacements' block, which holds the bodies' stiffness and, of
-closed points, contact's augmentation ε 𝐁ᵀ𝐁; or through factors of the whole Jacobian with another state of contact.
+forces goes through one cycle of multigrid (`multigrid`) for the displacements' block, which holds the bodies' stiffness and,
+of closed points, contact's augmentation ε 𝐁ᵀ𝐁; or through factors of the whole Jacobian with another state of contact.
 """
 
 from __future__ import annotations
