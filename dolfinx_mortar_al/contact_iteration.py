@@ -194,12 +194,12 @@ class ContactIteration:
         return self._size(self._off)
 
     def _keep(self, state: _Kept) -> None:
-        """Remember the state: of those on the way the one with the least residual is what counts."""
+        """Remember the state."""
         self._total.copy(state.total)
         state.decisions = [pair.decisions() for pair in self.problem.pairs]
 
     def _go_back(self, state: _Kept) -> None:
-        """To the state that was kept."""
+        """To a state that was kept: of those on the way the one with the least residual is what counts."""
         state.total.copy(self._total)
         for pair, saved in zip(self.problem.pairs, state.decisions, strict=True):
             pair.undo_decisions(saved)

@@ -165,20 +165,25 @@ def test_zeros_are_not_stored():
 
 def test_sliding_asks_no_more_of_multigrid_than_sticking():
     """Contact's nodes are solved exactly, and aggregates hold nodes of one side of the surface alone, so that the coarse
-    spaces know the sides' sliding: seen are 15 iterations to 1e-8 in the step in which all points come to slide and 13 while
-    they are pressed, 24 and 21 with the multipliers alone solved for. Contact settles, and the bulk follows, by 88
-    applications of the preconditioner in two Newton iterations, each of which may take 200."""
+    spaces know the sides' sliding: FGMRES to 1e-8 for a random right-hand side, in the states that the press and the drag
+    end in (seen: 18 and 17). Contact settles, and the bulk follows, by 88 applications in two Newton iterations, each of
+    which may take 200."""
     problem, top = scaling.build(scaling.Row(1e4))
     newton = solver(problem, "iterative", ksp_rtol=1e-8)
-    counts = [0]
-    newton.snes.getKSP().setMonitor(lambda ksp, n, norm: counts.append(n))
-    most = {}
+    b, x = problem.x.duplicate(), problem.x.duplicate()
+    for part in b.getNestSubVecs():
+        part.setRandom()
+    counts = {}
     for doing, step in scaling.press_and_drag(problem, top, newton, (1, 1)):
         assert step.rejected == 0
-        most[doing] = max(counts)
-        counts.clear()
+        problem.pack(problem.x)
+        problem.assemble_jacobian()
+        fgmres = newton.snes.getKSP()
+        fgmres.setOperators(problem.matrix)
+        fgmres.solve(b, x)
+        counts[doing] = fgmres.getIterationNumber()
     assert problem.pairs[0].stick_fraction() == 0.0
-    assert max(most.values()) <= 19
+    assert counts["dragged"] <= counts["pressed"] <= 19
     assert newton.linear.failures == 0
     assert newton.contact_iteration.solves <= 120
 
