@@ -22,7 +22,7 @@ from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.corners import SharpCorners
 from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, degrees_on, segment_degree
 from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
-from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, Coulomb, Frictionless, augmented_normal
+from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, Coulomb, Frictionless, LawState, augmented_normal
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
@@ -178,6 +178,9 @@ class ContactPair(PairResults):
         self.area = sum_over(self.comm, float(self.j.sum()))
         self._check_apart(contactor)
         self.kinematics: Kinematics = PositionLevel(self.integration, self._body1.u, self.target, friction)
+        # points, what the law said and slip in the last step that was committed; (nf, nodes, gdim) where the nodes were (m)
+        self._committed: tuple[IntegrationPoints, LawState, Array | None] | None = None
+        self._committed_at: Array = np.zeros(0)
         #: (nf, nodes) numbers of the contactor's nodes among all bodies'
         self.contactor_blocks: Index = bodies.nodes(k, self.facets.dofs)
         own = self.facets.space.dofmap.index_map.local_to_global(self.facets.dofs.ravel())
@@ -642,14 +645,31 @@ class ContactPair(PairResults):
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip, but for what multipliers of the nodes do not
         see of it, which acts on at each point by ε_T: forgotten in each step, it would let stuck points creep."""
+        self._committed = self.integration, self.state, self.kinematics.s
         law = self.law
         unspent = law.unspent(self.state, self.kinematics.at) if isinstance(law, Coulomb) else None
         self.kinematics.commit(unspent, self.state.status == STICK)
         if isinstance(self.kinematics, StepLevel):
             self.kinematics.excuse(*self._decided())
         self._remember()
+        self._committed_at = self._converged.nodes
         self._end_solve()
         self.active.guessed = False
+
+    def show_committed(self) -> None:
+        """After going back to the last step that was committed: its results as they were then, with the slip from the step
+        before (collective). Where the state is another one, as that of a checkpoint, slip is zero."""
+        if self._committed is None or any_over(
+            self.comm, not np.array_equal(self._committed_at, self._converged.nodes)
+        ):
+            self.evaluate()
+            return
+        points, state, s = self._committed
+        if self.segments is not None and not isinstance(self.kinematics, StepLevel):
+            self._adopt(points)
+            self.kinematics.evaluate()
+            self._read_multiplier()
+        self.state, self.kinematics.s = state, s
 
     def _end_solve(self) -> None:
         if self.target_end is not None:

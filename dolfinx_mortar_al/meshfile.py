@@ -7,7 +7,7 @@ gmsh, ends the process. They are looked at here first.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.ranks import on_root
 from dolfinx_mortar_al.validation import whole
-from dolfinx_mortar_al.versions import read_from_msh
+from dolfinx_mortar_al.versions import model_to_mesh
 
 __all__ = ["read_msh"]
 
@@ -43,20 +43,26 @@ def read_msh(path: Path | str, comm: MPI.Comm = MPI.COMM_WORLD, gdim: int | None
     """
     path = Path(path)
     asked = None if gdim is None else whole("gdim", gdim, least=2, most=3)
-    return read_from_msh(path, comm, on_root(comm, lambda: _check(path, asked)))
+    with ExitStack() as stack:
+        dimension = on_root(comm, lambda: _open(path, asked, stack))
+        if comm.rank > 0:
+            return model_to_mesh(None, comm, dimension)
+        import gmsh
+
+        return model_to_mesh(gmsh.model, comm, dimension)
 
 
-def _check(path: Path, gdim: int | None) -> int:
-    """Refuse what DOLFINx would not survive; the dimension of space."""
+def _open(path: Path, gdim: int | None, stack: ExitStack) -> int:
+    """Open the file in gmsh until the end of `stack`; refuse what DOLFINx would not survive; the dimension of space."""
     if not path.is_file():
         raise FileNotFoundError(
             f"{path}: no such file; write it with gmsh or with `python3 -m meshes.two_beams {path}`"
         )
     try:
-        with _opened(path) as (gmsh, complaints):
-            if complaints:
-                raise ValueError(f"gmsh cannot read it: {complaints[0]}")
-            return _check_model(gmsh, gdim)
+        gmsh, complaints = stack.enter_context(_opened(path))
+        if complaints:
+            raise ValueError(f"gmsh cannot read it: {complaints[0]}")
+        return _check_model(gmsh, gdim)
     except Exception as error:  # gmsh raises plain Exceptions
         said = str(error) if isinstance(error, ValueError) else f"gmsh cannot read it: {error}"
         raise ValueError(f"{path}: {said}") from None
@@ -64,7 +70,7 @@ def _check(path: Path, gdim: int | None) -> int:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, list[str]]]:
-    """gmsh with the file open, and its complaints about it."""
+    """gmsh with the file open, quiet, and its complaints about it."""
     import gmsh
 
     started = not gmsh.isInitialized()

@@ -130,6 +130,7 @@ class NewtonSolver:
         self.linear.begin()
         self.result = NewtonResult()
         self._patterns: list[int] = []
+        self._status: list[NDArray[np.int8]] = []  # of the pairs' points at the last of them
         self._cycles, self._damping, self._freezes, self._whole_step = 0, 1.0, 0, True
         self._law_since, self._set_since, self._freed = 0, 0, False
         self._moves, self._stride = 0, 0.0
@@ -262,13 +263,14 @@ class NewtonSolver:
         if pattern in self._patterns[:-1] and pattern != self._patterns[-1] and self._no_nearer(pattern):
             self._cycles += 1
             if self._cycles > MAX_CYCLES:
-                self.result.message = f"the contact state cycles, {self.problem.flipping_points()}"
+                self.result.message = f"the contact state cycles, {self.problem.changed_points(self._status)}"
                 return _Reason.DIVERGED_LOCAL_MIN
             if not self._freeze(iteration):
                 self._damping = 0.5
                 for pair in self.problem.pairs:
                     pair.active.trust *= 10.0
         self._patterns.append(pattern)
+        self._status = [pair.state.status for pair in self.problem.pairs]
         return None
 
     def _no_nearer(self, pattern: int) -> bool:
@@ -469,9 +471,10 @@ class NewtonSolver:
         """What a failed solve says of the equilibrium itself."""
         p, parts = self.problem, []
         if p.floating:
+            rub = "" if all(pair.friction > 0 for pair in p.pairs) else "add friction, "
             parts.append(
-                f"{' and '.join(p.unheld())}: press it on, prescribe the motion that is free (of one node, along the "
-                "surface), add friction, or let it move with dynamics.march"
+                f"{' and '.join(p.unheld())}: if it may slide or roll off, press it on, prescribe the motion that is free "
+                f"(of one node, along the surface), {rub}or let it move with dynamics.march"
             )
         elif far := [
             f"{pair.name}: {name} = {ratio * pair.unit:.3g} Pa/m where the bulk suggests {pair.unit:.3g}"

@@ -79,7 +79,7 @@ def picture(
     on_root(problem.comm, _check_pyvista)
     parts = [_bulk(body.u, coloured=colour == "displacement") for body in problem.bodies.bodies]
     if colour == "pressure":
-        parts += [_contactor(pair) for pair in problem.pairs]
+        parts += _contactors(problem.pairs)
     gathered = problem.comm.gather(parts, root=0)
     scene: dict[str, Any] = {"camera": camera, "size": (width, height), "label": LABELS[colour], "title": title}
     scene["opacity"] = THROUGH if colour == "pressure" and problem.gdim == 3 else 1.0
@@ -125,10 +125,19 @@ def _bulk(u: fem.Function, coloured: bool) -> _Part:
     return _part(shape, X, u.x.array.reshape(-1, gdim)[dofs], None, coloured)
 
 
-def _contactor(pair: ContactPair) -> _Part:
-    """This rank's part of a contactor with its pressure (collective)."""
-    pressure, facets = ContactorFunctions(pair).nodal("pressure")[:, :, 0], pair.facets
-    return _part(facets.shape, facets.X, pair.kinematics.nodes() - facets.X, pressure, True)
+def _contactors(pairs: Sequence[ContactPair]) -> list[_Part]:
+    """This rank's part of the contactors with their pressures, of a surface that several pairs have in common with the sum
+    (collective)."""
+    by_surface: dict[tuple[int, int, int], list[ContactPair]] = {}
+    for pair in pairs:
+        surface = pair.contact.contactor
+        by_surface.setdefault((id(surface.mesh), id(surface.tags), surface.tag), []).append(pair)
+    parts = []
+    for alike in by_surface.values():
+        facets, x = alike[0].facets, alike[0].kinematics.nodes()
+        pressure = np.sum([ContactorFunctions(pair).nodal("pressure")[:, :, 0] for pair in alike], axis=0)
+        parts.append(_part(facets.shape, facets.X, x - facets.X, pressure, True))
+    return parts
 
 
 def _outside(V: fem.FunctionSpace) -> tuple[ShapeFunctions, NDArray[np.int32]]:

@@ -485,6 +485,11 @@ class ContactProblem:
         for pair in self.pairs:
             pair.evaluate()
 
+    def show_committed(self) -> None:
+        """The pairs' results as they were in the last committed step, at which the displacements are (collective)."""
+        for pair in self.pairs:
+            pair.show_committed()
+
     def _add_tension(self) -> None:
         A = self.blocks[0][0]
         A.assemble()
@@ -608,15 +613,16 @@ class ContactProblem:
         mine = hash(tuple(pair.state.status.tobytes() for pair in self.pairs)) % 2**40  # as a float exact on 8192 ranks
         return int(sum_over(self.comm, mine))
 
-    def flipping_points(self) -> str:
-        """Where the law disagrees with the active set, in words (collective)."""
+    def changed_points(self, before: Sequence[NDArray[np.int8]]) -> str:
+        """Where points of the pairs have changed the open/slip/stick states that they had `before`, in words; where segments
+        have made others of them since that is not known (collective)."""
         parts = []
-        for pair in self.pairs:
-            wrong = pair.active.at_odds(pair.state, pair.kinematics, pair.epsilon.normal) > 0
-            X = np.concatenate(self.comm.allgather(pair.points()[wrong]))
+        for pair, then in zip(self.pairs, before, strict=True):
+            now = pair.state.status
+            X = np.concatenate(self.comm.allgather(pair.points()[now != then if len(now) == len(then) else []]))
             if len(X):
                 parts.append(f"{pair.name}: {len(X)} points, the first at X = {np.array2string(X[0], precision=4)}")
-        return "; ".join(parts) or "no point at odds with the law"
+        return "; ".join(parts)
 
     # ---------------------------------------------------------------- transactions
 

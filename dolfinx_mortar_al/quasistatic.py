@@ -389,7 +389,6 @@ class _LoadControl(Controller[Step]):
         self._predictor.turn(scale)
 
     def failure(self, reason: str) -> str:
-        self.problem.evaluate()
         return f"no convergence at {self._tried} with the smallest step: {reason}; the steps up to {self._at} are converged"
 
 
@@ -468,7 +467,6 @@ class _PathControl(Controller[Step]):
         return Step(**vars(done), load=self.load.number, stage=0, path=self._s[1])
 
     def failure(self, reason: str) -> str:
-        self.problem.evaluate()
         return (
             f"no convergence at {self.at(tried=True)} with the smallest step: {reason}; the steps up to {self.at()} are "
             "converged"

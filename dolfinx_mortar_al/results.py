@@ -25,19 +25,20 @@ Array = NDArray[np.float64]
 
 FINER = (
     "the target is finer than the contactor's integration points, which miss some of its facets: the pressure is "
-    "inaccurate; swap contactor and target, refine the contactor or raise quadrature_degree"
+    "inaccurate; refine the contactor or raise quadrature_degree"
 )
 FINE = (
     "the contactor is finer than the target and stiffer: the target's facets cannot follow what the multiplier asks of them, "
-    "and pressures oscillate (resultants do not); swap contactor and target, or refine the target"
+    "and pressures oscillate (resultants do not); refine the target, or swap contactor and target"
 )
 STIFFER = 4.0  # of stiffnesses per area: pressures on finer contactors were off by more than a tenth from there on
 ALIKE = 0.99  # spacings that are the same but for the shape of facets
 OVERLAP = "both surfaces are prescribed there and overlap: no contact force can part them; change the prescribed values"
 DEEP = (
     "the surfaces overlap where they are in contact, and much of the force comes from that: the contact is on parts of the "
-    "contactor's facets, which do not resolve it; refine the contactor there, or swap contactor and target"
+    "contactor's facets, which do not resolve it; refine the contactor there"
 )
+SWAP = ", or swap contactor and target"  # where both are surfaces of their own and the target is the finer one
 OVERLAPS = 0.05  # of the longer facet: closed points that lie deeper are hardly held apart,
 BY_OVERLAP = (
     0.1  # if so much of the contact force is ε g: in resolved contact multipliers bear all but a few hundredths
@@ -165,11 +166,10 @@ class PairResults:
         k = int(np.argmin(ratio)) if len(ratio) else -1
         mine = (float(ratio[k]), tuple(self.points()[closed[k]].tolist())) if len(ratio) else (np.inf, ())
         value, X = min(self.comm.allgather(mine))
-        return (
-            None
-            if value >= 1.0
-            else Finding(f"{self.name}: target facets per point's distance", value, X, FINER, False)
-        )
+        if value >= 1.0:
+            return None
+        says = FINER if self.target.is_contactor else FINER + SWAP
+        return Finding(f"{self.name}: target facets per point's distance", value, X, says, False)
 
     def fine_multiplier(self) -> Finding | None:
         """Whether the multiplier of a contactor that is stiffer than the target has nodes closer together than those of the
@@ -208,13 +208,15 @@ class PairResults:
         theirs = 0.0 if self.target.is_rigid else self.target.extents[self.at.point.facet[closed]]
         depth = g / np.maximum(own, theirs)
         k = int(np.argmax(depth)) if len(depth) else -1
-        mine = (float(depth[k]), tuple(self.points()[closed[k]].tolist())) if len(depth) else (-np.inf, ())
-        value, X = max(self.comm.allgather(mine))
+        is_finer = (own > theirs) & (not self.target.is_rigid) & (not self.target.is_contactor)
+        here = (tuple(self.points()[closed[k]].tolist()), bool(is_finer[k])) if len(depth) else ((), False)
+        value, X, may_swap = max(self.comm.allgather((float(depth.max(initial=-np.inf)), *here)))
         by_overlap = j @ np.abs(g) * self.epsilon.normal
         borne, total = sum_over(self.comm, np.array([by_overlap, j @ self.state.p[closed]]))
         if value < OVERLAPS or borne < BY_OVERLAP * total:
             return None
-        return Finding(f"{self.name}: overlap in contact (facets)", value, X, DEEP, False)
+        says = DEEP + SWAP if may_swap else DEEP
+        return Finding(f"{self.name}: overlap in contact (facets)", value, X, says, False)
 
     def _last_points(self) -> NDArray[np.bool_]:
         """(n,) the points next to an end of the contactor."""

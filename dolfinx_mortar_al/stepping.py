@@ -35,14 +35,20 @@ class StepFailure(RuntimeError):
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """A converged step: Newton iterations (rejected trials included), rejected trials, wall time (s), whether it ends at one
-    of the asked-for places (not between them after a cut), and what the monitors found below their bounds."""
+    """A converged step: Newton iterations (rejected trials included), wall time (s), whether it ends at one of the asked-for
+    places (not between them after a cut), why trials on the way to it were rejected, and what the monitors found below
+    their bounds."""
 
     iterations: int
-    rejected: int
     wall_time: float
     nominal: bool
+    reasons: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
+
+    @property
+    def rejected(self) -> int:
+        """Number of rejected trials."""
+        return len(self.reasons)
 
 
 @dataclass
@@ -133,16 +139,19 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
     reporter = Reporter(control.problem.comm.rank)
     size, leg, closing_in = 1.0, control.leg, False
     control.begin()
-    iterations, rejected, clock = 0, 0, perf_counter()
+    iterations, clock = 0, perf_counter()
+    reasons: list[str] = []
     while not control.finished:
         length, nominal = control.clip(size)
         attempt = control.attempt(length, nominal)
         iterations += attempt.newton.iterations
         if not attempt.good:
             bar.rejected(control.at(tried=True), attempt.message)
-            size, rejected = attempt.cut * length, rejected + 1
+            size = attempt.cut * length
+            reasons.append(f"{control.at(tried=True)}: {attempt.message}")
             control.undo()
             if size < control.smallest:
+                control.problem.show_committed()
                 raise StepFailure(control.failure(attempt.message))
             continue
         if control.event() and length > EVENT:
@@ -150,16 +159,18 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
             size, closing_in = length / 2, True
             continue
         grown = size if closing_in else control.grown(size, length, attempt)
-        size = min(grown, length) if rejected else grown  # what has just failed would again
+        size = min(grown, length) if reasons else grown  # what has just failed would again
         seconds, found = perf_counter() - clock, tuple(attempt.findings)
-        done = Step(iterations=iterations, rejected=rejected, wall_time=seconds, nominal=nominal, findings=found)
+        done = Step(
+            iterations=iterations, wall_time=seconds, nominal=nominal, reasons=tuple(reasons), findings=found
+        )  # fmt: skip
         step = control.accept(done)
         if control.leg != leg:
             size, leg, closing_in = 1.0, control.leg, False
         bar.show(control.at(), control.share, step)
         reporter.report(step.findings, control.at())
         yield step
-        iterations, rejected, clock = 0, 0, perf_counter()
+        iterations, reasons, clock = 0, [], perf_counter()
 
 
 def solver_of(problem: ContactProblem, solver: NewtonSolver | None, **options: Any) -> NewtonSolver:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,19 +16,13 @@ try:
 except ImportError:  # 0.9
     from dolfinx.io import gmshio as _gmsh
 
-__all__ = ["geometry_degree", "geometry_nodes", "model_to_mesh", "read_from_msh", "submesh", "whole_form"]
+__all__ = ["geometry_degree", "geometry_nodes", "model_to_mesh", "submesh", "whole_form"]
 
 
 def model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[mesh.Mesh, Any, Any]:
     """(mesh, cell tags, facet tags) of the gmsh model that rank 0 has (None on the others), spread over `comm`. What follows
     these three since 0.10 is left out."""
     data = _gmsh.model_to_mesh(model, comm, 0, gdim)
-    return data[0], data[1], data[2]
-
-
-def read_from_msh(path: Path, comm: MPI.Comm, gdim: int) -> tuple[mesh.Mesh, Any, Any]:
-    """(mesh, cell tags, facet tags) of a gmsh file, read on rank 0 and spread over `comm`."""
-    data = _gmsh.read_from_msh(str(path), comm, 0, gdim=gdim)
     return data[0], data[1], data[2]
 
 

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import compute_midpoints, create_unit_square, locate_entities_boundary, meshtags
+from dolfinx.mesh import CellType, compute_midpoints, create_unit_square, locate_entities_boundary, meshtags
 from mpi4py import MPI
 from scenes import NU, E, beams, blocks, contact_of, membranes
 from test_dynamics import disc
 from test_rigid_targets import block
 
 from dolfinx_mortar_al import (
+    Contact,
     ContactProblem,
+    NewtonSolver,
     Surface,
     dynamics,
     materials,
@@ -24,6 +26,8 @@ from dolfinx_mortar_al import (
 )
 from dolfinx_mortar_al.contact_fields import ContactorFunctions
 from dolfinx_mortar_al.law import OPEN, SLIP, STICK
+from dolfinx_mortar_al.picture import _contactors
+from dolfinx_mortar_al.reductions import max_over
 from meshes.two_beams import TwoBeams
 
 MU = 0.3
@@ -300,6 +304,30 @@ def test_a_picture_shows_the_bodies(shared_path):
     assert image.shape == (200, 300, 3)
     assert 0.05 < np.mean(image.min(axis=2) < 0.99) < 0.9  # drawn upon, not filled
     assert np.any(np.ptp(image, axis=2) > 0.4)
+
+
+def test_a_surface_of_two_pairs_is_drawn_once_with_the_pressures_of_both():
+    """Drawn twice in the same place one would hide the other."""
+    pressures = []
+    for planes in (1, 2):
+        domain = create_unit_square(MPI.COMM_WORLD, 4, 4, CellType.quadrilateral)
+        u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+        outside = locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 0.0) | np.isclose(x[1], 1.0))
+        tags = meshtags(domain, 1, np.sort(outside), np.full(len(outside), 1, dtype=np.int32))
+        floor, lid = obstacles.RigidPlane([0, 0.01], [0, 1]), obstacles.RigidPlane([0, 0.99], [0, -1])
+        contacts = [Contact(Surface(domain, tags, 1), plane) for plane in (floor, lid)[:planes]]
+        still = fem.locate_dofs_geometrical(u.function_space, lambda x: np.isclose(x[1], 0.5))
+        bcs = [fem.dirichletbc(np.zeros(2), still, u.function_space)]
+        problem = ContactProblem(materials.neo_hookean(1e3, 0.3).virtual_work(u), u, bcs=bcs, contacts=contacts)
+        assert NewtonSolver(problem).solve().converged
+        parts = _contactors(problem.pairs)
+        assert len(parts) == 1
+        below = parts[0].points[:, 1] < 0.5
+        pressures.append(
+            [max_over(problem.comm, float(parts[0].values[side].max(initial=0.0))) for side in (below, ~below)]
+        )
+    assert pressures[0][0] > 10.0 and pressures[0][1] == 0.0
+    assert np.allclose(pressures[1], pressures[0][0], rtol=1e-8)  # Pa, by symmetry
 
 
 def test_a_picture_that_cannot_be_is_refused(shared_path):

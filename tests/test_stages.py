@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from dolfinx import fem, mesh
 from mpi4py import MPI
+from scenes import beams
 from tqdm import tqdm
 
 from dolfinx_mortar_al import (
@@ -24,6 +25,7 @@ from dolfinx_mortar_al import (
 )
 from dolfinx_mortar_al.newton import NewtonResult
 from dolfinx_mortar_al.quasistatic import Stage, StepFailure
+from dolfinx_mortar_al.reductions import max_over
 
 CLONE = Path(__file__).parents[1]
 MU, DEPTH, WAY = 0.3, 0.05, 0.1
@@ -166,6 +168,22 @@ def test_a_march_goes_on_from_a_checkpoint_within_a_stage(shared_path):
     assert go(shared_path / "cut", -1).start == 3.0  # nothing is left, and nothing happens
 
 
+@pytest.mark.parametrize("integration", ["gauss", "segments"])
+def test_results_after_a_failure_are_those_of_the_last_converged_step(integration):
+    """Sliding points slide in them, by what they slid in that step; with segments, too, whose points have moved since."""
+    problem, P = beams(order=1, friction=MU, integration=integration)
+    pair = problem.pairs[0]
+    *_, step = quasistatic.march(problem, P, to=8.0, increments=4)
+    assert step.reasons == () and pair.stick_fraction() < 0.9 * pair.closed_fraction()
+    fields = pair.fields()
+    force, slip, status = pair.force(), fields.slip, fields.status
+    assert max_over(problem.comm, float(np.abs(slip).max(initial=0.0))) > 1e-4
+    with pytest.raises(StepFailure, match="the steps up to load 8 are converged"):
+        list(quasistatic.march(problem, P, to=1e8, increments=1, smallest=1.0))
+    assert np.allclose(pair.force(), force, rtol=1e-9)
+    assert np.array_equal(pair.fields().status, status) and np.array_equal(pair.fields().slip, slip)
+
+
 def flight(step=1e-3):
     """A square that falls onto the floor at 1 m/s from 1 mm above it: (problem, motion)."""
     domain = mesh.create_rectangle(MPI.COMM_WORLD, [(0.0, 1e-3), (1.0, 1.001)], (2, 2), mesh.CellType.quadrilateral)
@@ -290,5 +308,7 @@ class Stubborn(stepping.Controller):
 def test_a_step_that_was_cut_is_repeated_before_it_grows():
     """What has just failed would fail again: after a cut the next step is as long as the one that went through."""
     march = Stubborn(lambda x: 0.25 if x < 0.5 else 1.0)
-    list(stepping.run(march, stepping.Bar(march.problem, shown=False)))
+    steps = list(stepping.run(march, stepping.Bar(march.problem, shown=False)))
     assert march.tried == [1.0, 0.5, 0.25, 0.25, 0.5, 1.0, 1.0, 1.0]
+    assert [step.reasons for step in steps] == [("0.0: too long", "0.0: too long"), *[()] * 5]
+    assert [step.rejected for step in steps] == [2, 0, 0, 0, 0, 0]
