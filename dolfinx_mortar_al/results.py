@@ -14,10 +14,11 @@ from dolfinx_mortar_al.kinematics import Kinematics
 from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, LawState
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.multiplier import MultiplierSpace
-from dolfinx_mortar_al.projection import Projection
+from dolfinx_mortar_al.projection import Projection, dot
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.segments import Segments
-from dolfinx_mortar_al.targets import Target
+from dolfinx_mortar_al.surface import surface_normal
+from dolfinx_mortar_al.targets import DeformableTarget, Target
 
 __all__ = ["PairResults"]
 
@@ -43,6 +44,12 @@ OVERLAPS = 0.05  # of the longer facet: closed points that lie deeper are hardly
 BY_OVERLAP = (
     0.1  # if so much of the contact force is ε g: in resolved contact multipliers bear all but a few hundredths
 )
+BY_NORMALS = (
+    "a corner or a rounded edge of the contactor with few facets rests on a smoother target, and pressure acts along the "
+    "contactor's normals: the force's direction is off by that share; refine the contactor there, swap contactor and target, "
+    'or take projection="closest"'
+)
+TURNED = 0.03  # of the force
 SHARE = 0.01  # of a target facet: overlaps below it are those of facets that do not match on curved surfaces
 AT_END = 0.1  # weight of the other nodes where a point counts as at the target's end
 
@@ -70,6 +77,8 @@ class PairResults:
     area: float
     _at_end: NDArray[np.bool_]
     _prescribed_facets: NDArray[np.bool_]
+    #: (nf,) by how much the contactor turns over each of its facets (rad)
+    _turns: Array
 
     @property
     def j(self) -> Array:
@@ -217,6 +226,25 @@ class PairResults:
             return None
         says = DEEP + SWAP if may_swap else DEEP
         return Finding(f"{self.name}: overlap in contact (facets)", value, X, says, False)
+
+    def turned_force(self) -> Finding | None:
+        """By how much contact's forces are off the target's normal in the mean, as a share of them, where the contactor turns
+        more than the target does over a facet, as at a rounded corner on a flat surface (collective). There ν = −𝐧 is that of
+        coarse facets; where the target turns more, as its corner on a flat contactor, 𝐧 is the better one."""
+        if not isinstance(self.target, DeformableTarget) or not self.target.uses_rays or self.target.is_contactor:
+            return None
+        closed = np.flatnonzero(self.state.status != OPEN)
+        at, facet = self.at.take(closed), self.integration.facet[closed]
+        normal = surface_normal(at.a)
+        normal /= (np.sqrt(dot(normal, normal)) * np.where(dot(normal, at.ν) < 0, -1.0, 1.0))[:, None]
+        pressed = self.j[closed] * self.state.p[closed]
+        turns = self._turns[facet] > self.target.surface.turns[at.point.facet]
+        mine = np.append((pressed * turns) @ (at.ν - normal), pressed.sum())
+        force = sum_over(self.comm, mine)
+        share = float(np.linalg.norm(force[:-1]) / force[-1]) if force[-1] > 0 else 0.0
+        if share < TURNED:
+            return None
+        return Finding(f"{self.name}: share of the force that is off the target's normal", share, (), BY_NORMALS, False)
 
     def _last_points(self) -> NDArray[np.bool_]:
         """(n,) the points next to an end of the contactor."""

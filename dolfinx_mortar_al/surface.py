@@ -354,6 +354,12 @@ class GatheredFacets:
         return np.asarray(mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300))[corners]
 
     @cached_property
+    def turns(self) -> Array:
+        """(nf,) by how much the surface turns over each facet (rad): between the mean normals at its corners."""
+        normal = self.normals_at_corners
+        return np.asarray(np.arccos(np.clip(normal @ np.swapaxes(normal, 1, 2), -1.0, 1.0)).max(axis=(1, 2)))
+
+    @cached_property
     def size_of_facets(self) -> float:
         """Largest diameter of a facet in the reference configuration (m)."""
         X = self.X[self.facets]

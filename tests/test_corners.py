@@ -5,6 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dolfinx import fem
+from dolfinx.mesh import CellType, create_rectangle, locate_entities_boundary, meshtags
+from mpi4py import MPI
 from scenes import assert_tangent, blocks, rough, set_field
 from test_projection import curved_surface
 
@@ -12,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from robustness_model import Model
 from robustness_scenes import UPPER, Body, Scene, Stage, draw
 
-from dolfinx_mortar_al import NewtonSolver, quasistatic
+from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, materials, quasistatic
 from dolfinx_mortar_al.closest_point import project
 from dolfinx_mortar_al.corners import _faces
 from dolfinx_mortar_al.search import CandidateSearch
@@ -112,6 +115,42 @@ def test_a_corner_in_a_drag_does_not_dig_in():
     assert rejected == 0
     assert model.penetration() < 0.01  # seen: 0.004
     assert np.allclose(forces[-1], [189.4, 149.7], rtol=2e-3)  # N, as without the sides
+
+
+def rounded_on_slab(cells, swap):
+    """A block with a round bottom, `cells` across, pressed onto a slab a hundred times as stiff, which is flat in the end:
+    (share of the force that is off the target's normal or None, F_x/F_y)."""
+    block = create_rectangle(MPI.COMM_WORLD, [(0.0, 0.0), (1.0, 0.5)], (cells, 3), CellType.quadrilateral)
+    slab = create_rectangle(MPI.COMM_WORLD, [(-0.5, -0.4), (1.5, 0.0)], (40, 6), CellType.quadrilateral)
+    ends = []
+    for domain, touches, held in ((block, 0.0, 0.5), (slab, 0.0, -0.4)):
+        domain.topology.create_connectivity(1, 2)
+        found = [locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (touches, held)]
+        ends.append((meshtags(domain, 1, np.sort(found[0]), np.ones(len(found[0]), dtype=np.int32)), found[1]))
+    x = block.geometry.x
+    x[:, 1] += (x[:, 0] - 0.3) ** 2 / (2 * 0.8) * (1 - x[:, 1] / 0.5)
+    down, u, bcs, F = fem.Constant(block, (0.0, 0.0)), [], [], []
+    for domain, (_, held), value, young in ((block, ends[0], down, E), (slab, ends[1], np.zeros(2), 100 * E)):
+        V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+        u.append(fem.Function(V))
+        bcs.append(fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, held), V))
+        F.append(materials.neo_hookean(young, 0.3).virtual_work(u[-1]))
+    sides = [Surface(block, ends[0][0], 1), Surface(slab, ends[1][0], 1)]
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[Contact(*(sides[::-1] if swap else sides))])
+    *_, step = quasistatic.march(problem, down, to=(0.0, -0.02), increments=2)
+    found = [f.value for f in step.findings if "off the target's normal" in f.name]
+    fx, fy = problem.pairs[0].force()
+    return found[0] if found else None, abs(fx / fy)
+
+
+def test_a_force_along_coarse_normals_is_said():
+    """Without friction what is along the flat slab is in error, and the share that is said is that. With the slab as
+    contactor or a finer block there is nothing to say."""
+    share, along = rounded_on_slab(4, swap=False)
+    assert share is not None and np.isclose(share, along, rtol=0.1)
+    for cells, swap in ((4, True), (32, False)):
+        share, along = rounded_on_slab(cells, swap)
+        assert share is None and along < 2e-3
 
 
 def test_faces():
