@@ -115,8 +115,9 @@ def main(directory: Path, size: float) -> tuple[float, float]:
     now = sole.fields_on_root()
     if now is not None:
         print(f"the base bears {down[2]:.2f} N and is dragged by {-down[0]:.2f} N, {-down[0] / down[2]:.3f} of it")
+        area = np.sum(now.area[now.status > 0]) * 1e6
         print(
-            f"largest pressure {now.pressure.max() / 1e6:.3f} MPa on {np.sum(now.area[now.status > 0]) * 1e6:.0f} mm²"
+            f"largest pressure {now.pressure.max() / 1e6:.3f} MPa on {area:.0f} mm² (at a point; pictures: nodal means)"
         )
         print(f"pictures in {directory}")
     return float(-down[0]), float(down[2])
