@@ -622,7 +622,7 @@ class ContactProblem:
             X = np.concatenate(self.comm.allgather(pair.points()[now != then if len(now) == len(then) else []]))
             if len(X):
                 parts.append(f"{pair.name}: {len(X)} points, the first at X = {np.array2string(X[0], precision=4)}")
-        return "; ".join(parts)
+        return "; ".join(parts) or "at points that segments have moved"
 
     # ---------------------------------------------------------------- transactions
 
