@@ -51,6 +51,7 @@ SLIDE = (
 TOLD = 1e-3  # share of the contact forces that a tie may bear unsaid
 LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
 NOISE = 1e-3  # share of round-off in a body's forces below which a tie bears nothing
+SPARE = 2  # rings of target facets around contact in the plane that matrices have room for from the start
 UNSEEN = 1e-6  # share of round-off in a body's forces below which a load counts as none from the start
 
 #: All that a step may change, on this rank: arrays by the name of the member that owns them and their own.
@@ -261,8 +262,9 @@ class ContactProblem:
             return
         self._outgrown = True
         for k, pair in enumerate(self.pairs, start=1):
-            wide = pair.couples(near=True) if self.spare_pattern else new[k - 1]
-            if self.gdim == 2 or self.spare_pattern:
+            rings = SPARE if self.gdim == 2 else int(self.spare_pattern)
+            wide = pair.couples(near=True) if rings else new[k - 1]
+            for _ in range(rings):
                 wide = pair.blocks.with_neighbours(wide, pair.kinematics)
             unseen = np.setdiff1d(wide, self._seen[k - 1], assume_unique=True)
             self._seen[k - 1] = np.union1d(self._seen[k - 1], unseen)

@@ -10,7 +10,8 @@ from typing import Any
 
 from mpi4py import MPI
 
-from meshes.gmsh_session import distribute, main, structured_box
+from meshes.boxes import Box, boxes_in_gmsh, create_boxes
+from meshes.gmsh_session import main
 
 __all__ = ["BAR1", "BAR2", "FACE1", "FACE2", "FREE1", "FREE2", "SIDES1", "SIDES2", "TwoBars"]
 
@@ -35,26 +36,30 @@ class TwoBars:
     triangles: bool = False
     gap: float = 0.0
 
-    def _bar(self, gmsh: Any, x: float, body: int) -> tuple[list[int], list[int], list[int]]:
-        """One rectangle (box) from x on, structured, its cells tagged `body`; its left, right and lateral facets."""
+    def _boxes(self) -> list[Box]:
         size, cells = [self.length, self.height, self.width], [self.along, self.across, self.across]
-        facets = structured_box(gmsh, [x, 0, 0], size[: self.dim], cells, self.triangles, body)
-        centre = {f: (gmsh.model.occ.getCenterOfMass(self.dim - 1, f)[0] - x) / self.length for f in facets}
-        left, right = ([f for f in centre if abs(centre[f] - end) < 1e-9] for end in (0, 1))
-        return left, right, [f for f in centre if f not in left + right]
+        lateral = [(axis, end) for axis in range(1, self.dim) for end in (0, 1)]
+        return [
+            Box(
+                [x, 0.0, 0.0][: self.dim],
+                size[: self.dim],
+                cells[: self.dim],
+                tag,
+                {(0, 0): left, (0, 1): right} | dict.fromkeys(lateral, sides),
+            )
+            for x, tag, left, right, sides in (
+                (0.0, BAR1, FREE1, FACE1, SIDES1),
+                (self.length + self.gap, BAR2, FACE2, FREE2, SIDES2),
+            )
+        ]
 
     def build(self, gmsh: Any) -> None:
         """Add the two bars to the current gmsh model and mesh it."""
-        free1, face1, sides1 = self._bar(gmsh, 0.0, BAR1)
-        face2, free2, sides2 = self._bar(gmsh, self.length + self.gap, BAR2)
-        groups = {FREE1: free1, FACE1: face1, FACE2: face2, FREE2: free2, SIDES1: sides1, SIDES2: sides2}
-        for tag, entities in groups.items():
-            gmsh.model.addPhysicalGroup(self.dim - 1, entities, tag)
-        gmsh.model.mesh.generate(self.dim)
+        boxes_in_gmsh(gmsh, self._boxes(), self.triangles)
 
     def create(self, comm: MPI.Comm = MPI.COMM_WORLD) -> tuple[Any, Any, Any]:
         """(mesh, cell tags, facet tags), distributed over `comm`."""
-        return distribute(self.build, comm, self.dim)
+        return create_boxes(comm, self._boxes(), self.triangles)
 
 
 if __name__ == "__main__":

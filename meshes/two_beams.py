@@ -10,7 +10,8 @@ from typing import Any
 
 from mpi4py import MPI
 
-from meshes.gmsh_session import distribute, main, structured_box
+from meshes.boxes import Box, boxes_in_gmsh, create_boxes
+from meshes.gmsh_session import main
 
 __all__ = ["CLAMP", "LOWER", "LOWER_TOP", "TIP", "UPPER", "UPPER_BOTTOM", "TwoBeams"]
 
@@ -36,30 +37,24 @@ class TwoBeams:
     triangles: bool = False
     gap: float = 0.0
 
-    def _beam(self, gmsh: Any, y: float, along: int, body: int) -> dict[str, int]:
-        """One rectangle (box) above height y, structured, its cells tagged `body`; returns its facets by name."""
-        size, cells = [self.length, self.height, self.width], [along, self.across, self.through]
-        facets = structured_box(gmsh, [0, y, 0], size[: self.dim], cells, self.triangles, body)
-
-        def at(axis: int, value: float) -> int:
-            centre = {f: gmsh.model.occ.getCenterOfMass(self.dim - 1, f)[axis] for f in facets}
-            return next(f for f in facets if abs(centre[f] - value) < 1e-9)
-
-        return {"clamp": at(0, 0.0), "end": at(0, self.length), "bottom": at(1, y), "top": at(1, y + self.height)}
+    def _boxes(self) -> list[Box]:
+        size, through = [self.length, self.height, self.width][: self.dim], [self.through] * (self.dim - 2)
+        clamped = {(0, 0): CLAMP}
+        return [
+            Box([0.0, y, 0.0][: self.dim], size, [along, self.across, *through], tag, clamped | faces)
+            for y, along, tag, faces in (
+                (-self.height, self.along[0], LOWER, {(1, 1): LOWER_TOP}),
+                (self.gap, self.along[1], UPPER, {(1, 0): UPPER_BOTTOM, (0, 1): TIP}),
+            )
+        ]
 
     def build(self, gmsh: Any) -> None:
         """Add the two beams to the current gmsh model and mesh it."""
-        lower = self._beam(gmsh, -self.height, self.along[0], LOWER)
-        upper = self._beam(gmsh, self.gap, self.along[1], UPPER)
-        groups = {CLAMP: [lower["clamp"], upper["clamp"]], TIP: [upper["end"]]}
-        groups |= {LOWER_TOP: [lower["top"]], UPPER_BOTTOM: [upper["bottom"]]}
-        for tag, entities in groups.items():
-            gmsh.model.addPhysicalGroup(self.dim - 1, entities, tag)
-        gmsh.model.mesh.generate(self.dim)
+        boxes_in_gmsh(gmsh, self._boxes(), self.triangles)
 
     def create(self, comm: MPI.Comm = MPI.COMM_WORLD) -> tuple[Any, Any, Any]:
         """(mesh, cell tags, facet tags), distributed over `comm`."""
-        return distribute(self.build, comm, self.dim)
+        return create_boxes(comm, self._boxes(), self.triangles)
 
 
 if __name__ == "__main__":

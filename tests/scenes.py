@@ -111,9 +111,9 @@ def set_field(problem, displacement, multiplier=None, clamped=True):
 
 
 def tip(problem, X=(1.0, 0.025)):
-    """Displacement of the node nearest to X, on every rank."""
-    x = problem.u.function_space.tabulate_dof_coordinates()[:, : problem.gdim]
-    distance = np.linalg.norm(x[:, : len(X)] - np.asarray(X), axis=1)
+    """Displacement of the node nearest to X, its last coordinate zero unless given, on every rank."""
+    x = problem.u.function_space.tabulate_dof_coordinates()
+    distance = np.linalg.norm(x - np.pad(X, (0, 3 - len(X))), axis=1)
     k = int(np.argmin(distance)) if len(x) else 0
     mine = (distance[k], tuple(problem.u.x.array.reshape(-1, problem.gdim)[k])) if len(x) else (np.inf, ())
     return np.array(min(problem.comm.allgather(mine))[1])

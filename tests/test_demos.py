@@ -7,9 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import ufl
+from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinx_mortar_al import read_msh
+from meshes.gmsh_session import distribute
+from meshes.two_bars import TwoBars
 from meshes.two_beams import TwoBeams
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
@@ -137,6 +141,25 @@ def test_a_mesh_file_of_ones_own(shared_path):
         MPI.COMM_WORLD.allreduce(len(np.intersect1d(cells.find(1), np.arange(mesh.topology.index_map(2).size_local))))
         == 8
     )
+
+
+@pytest.mark.parametrize("simplices", [False, True])
+@pytest.mark.parametrize("builder", [TwoBeams, TwoBars])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_boxes_are_the_same_with_and_without_gmsh(builder, dim, simplices):
+    """As many cells of each body, and of each group of facets the same area and centre, to round-off."""
+    built = builder(dim=dim, triangles=simplices)
+    comm, said = MPI.COMM_WORLD, []
+    for mesh, cells, facets in (built.create(comm), distribute(built.build, comm, dim)):
+        owned, x = mesh.topology.index_map(dim).size_local, ufl.SpatialCoordinate(mesh)
+        count = [comm.allreduce(int(np.sum(cells.find(tag) < owned))) for tag in (1, 2)]
+        ds, one = ufl.Measure("ds", mesh, subdomain_data=facets), fem.Constant(mesh, 1.0)
+        tags = np.unique(np.concatenate(comm.allgather(facets.values)))
+        forms = [fem.form(f * ds(int(tag))) for tag in tags for f in (one, *(one * x[i] for i in range(dim)))]
+        said.append((count, tags, [comm.allreduce(fem.assemble_scalar(form)) for form in forms]))
+    (count, tags, moments), expected = said[0], said[1]
+    assert count == expected[0] and np.array_equal(tags, expected[1])
+    assert np.allclose(moments, expected[2], rtol=1e-12, atol=1e-12)
 
 
 def test_solid_cells_say_the_dimension_of_space(shared_path):
