@@ -93,6 +93,13 @@ class _Side:
         """(n,) how far 𝐱 (n, gdim) lies behind the surface (m), roughly and at most about a facet."""
         return depth_behind(self.target.surface, self.target.nodes, x, self.target.size)
 
+    def bulge(self) -> float:
+        """How far facets rise above their flat pieces (m), by the pieces' middles."""
+        shape, nodes = self.target.surface.shape, self.target.nodes[self.target.facets]
+        N = shape.tabulate(shape.nodes[shape.pieces].mean(axis=1))[0]
+        off = N @ nodes - nodes[:, shape.pieces].mean(axis=2)
+        return float(np.linalg.norm(off, axis=2).max(initial=0.0))
+
     def passed(self, x0: Array, x: Array) -> Bool:
         """(n,) which points have come through the surface's front, 𝐱₀ and 𝐱 (n, gdim)."""
         depth = DEPTH * self.target.size
@@ -233,8 +240,8 @@ class Unfelt:
         passed = points.silent & other.passed(points.x0, points.x)
         suspect = passed.copy()
         if look_deep:
-            least = np.where(points.silent, 0.0, DEEPEST / 2)
-            suspect |= other.depth_behind(points.x) > least * np.maximum(points.extent, other.target.extents.min())
+            least = np.where(points.silent, SHARE / 2, DEEPEST / 2) * np.maximum(points.extent, other.target.extents.min())
+            suspect |= other.depth_behind(points.x) > np.maximum(least - 2 * other.bulge(), 0.0)
         points, passed = points.take(suspect), passed[suspect]
         if not any_over(self._comm, suspect.any()):
             return _Found(points.X, passed, np.zeros(0), passed)
