@@ -27,6 +27,7 @@ class Predictor:
         self._states: list[Snapshot] = []
         self._guesses = 1  # among the states: the start's contact
         self._touching: list[bool] = []  # of each pair, in the last state
+        self._was_slack = problem.lacks_stiffness
         #: of each predicted array, the polynomial order to predict it with
         self._order = {(member, name): 1 for member, name in self._predicted()}
 
@@ -36,12 +37,13 @@ class Predictor:
 
     def add(self, abscissa: float) -> None:
         """A state has converged; choose the polynomial orders that would have predicted it well. Where a pair has touched or
-        parted since the last one, the states before say nothing of what comes (collective)."""
+        parted since the last one, the states before say nothing of what comes; nor does a start without stiffness, such as a
+        flat membrane, from which displacements grow as a root of the load (collective)."""
         state = self.problem.snapshot()
         touching = [pair.closed_fraction() > 0.0 for pair in self.problem.pairs]
-        if self._states and touching != self._touching:
+        if self._states and (touching != self._touching or self._was_slack):
             self._forget(keep=0)
-        self._touching = touching
+        self._touching, self._was_slack = touching, self.problem.lacks_stiffness
         for array in self._order:
             self._order[array] = self._best_order(state, array, abscissa)
         self._abscissae, self._states = [*self._abscissae, abscissa], [*self._states, state]

@@ -7,6 +7,7 @@ points. So the nodes of both surfaces, and open points, are looked at once more:
 - what came through the front of the other surface where nothing is in contact, and is not in the body, has been carried
   through it;
 - what lies in the other body where nothing is in contact overlaps it unfelt;
+- a membrane, which bears no compression, has folded over where Newton's iterates were wild: an unstable equilibrium;
 - depth is a function of slope one at most: a node that lies deeper than the next integration point is away, and than meshes
   may err, has taken that along, which contact should have felt and undone.
 """
@@ -27,7 +28,7 @@ from dolfinx_mortar_al.obstacles import Pose
 from dolfinx_mortar_al.projection import Projection
 from dolfinx_mortar_al.reductions import any_over
 from dolfinx_mortar_al.self_target import SelfTarget
-from dolfinx_mortar_al.surface import Facets, Surface
+from dolfinx_mortar_al.surface import Facets, Surface, surface_normal
 from dolfinx_mortar_al.swept import DEPTH, depth_behind, passed_obstacle, passed_through
 from dolfinx_mortar_al.targets import ContactorPoints, DeformableTarget, Place, RigidTarget, Target
 
@@ -46,7 +47,9 @@ BETWEEN = (
     "the surfaces overlap between the integration points, which do not feel it; refine the contactor or raise "
     "quadrature_degree"
 )
+FOLDS = "a membrane has folded over in the step, which it does in compression alone; take smaller steps"
 SHARE = 0.02  # of the longer facet: what overlaps by less is an error of the mesh
+FOLDED = -0.5  # cosine of the normals of a facet and its neighbour, or in its middle and elsewhere on it
 DEEPEST = 0.25  # of the longer facet: no error of the mesh
 
 
@@ -71,7 +74,7 @@ class _Side:
     """A surface, and what is known of its facets."""
 
     def __init__(self, surface: Surface, target: DeformableTarget, bodies: Bodies) -> None:
-        self.target, self.inside = target, Inside(surface, bodies)
+        self.target, self.inside, self.is_membrane = target, Inside(surface, bodies), surface.is_membrane
         #: (nodes, gdim) where they were in the last converged state (m)
         self.before = target.nodes
         #: (nf,) which are in contact, and which were then
@@ -99,6 +102,22 @@ class _Side:
         N = shape.tabulate(shape.nodes[shape.pieces].mean(axis=1))[0]
         off = N @ nodes - nodes[:, shape.pieces].mean(axis=2)
         return float(np.linalg.norm(off, axis=2).max(initial=0.0))
+
+    def folded(self) -> Bool:
+        """(nf,) which facets of a membrane have folded over in this step, in themselves or onto a neighbour."""
+        surface, now, then = self.target.surface, self._normals(self.target.nodes), self._normals(self.before)
+        near = surface.neighbours
+        turned = [
+            np.concatenate([n @ n[:, 0, :, None], n[near][:, :, 0] @ n[:, 0, :, None]], axis=1) for n in (now, then)
+        ]
+        return np.asarray(((turned[0] < FOLDED) & (turned[1] > 0.0)).any(axis=(1, 2)))
+
+    def _normals(self, nodes: Array) -> Array:
+        """(nf, 1 + nodes, gdim) unit normals in the middle of each facet and at its nodes, of a surface with nodes there."""
+        shape, surface = self.target.surface.shape, self.target.surface
+        η = np.concatenate([shape.corners.mean(axis=0)[None], shape.nodes])
+        m = surface_normal(shape.tabulate(η, 1)[1] @ nodes[surface.facets][:, None])
+        return np.asarray(m / np.maximum(np.linalg.norm(m, axis=2, keepdims=True), 1e-300))
 
     def passed(self, x0: Array, x: Array) -> Bool:
         """(n,) which points have come through the surface's front, 𝐱₀ and 𝐱 (n, gdim)."""
@@ -187,10 +206,12 @@ class Unfelt:
         nodes = self._nodes(self._contactor, self._contactor.of_nodes(spacing))
         if isinstance(self._target, RigidTarget):
             assert isinstance(before.place, Pose)
-            return self._findings([self._at_obstacle(self._target, part, before.place) for part in (open_, nodes)])
+            return self._folds((self._contactor,)) or self._findings(
+                [self._at_obstacle(self._target, part, before.place) for part in (open_, nodes)]
+            )
         self._take_target(at, closed, before)
         others = self._nodes(self._other, np.zeros(len(self._other.target.nodes)))
-        return self._findings(
+        return self._folds((self._contactor, self._other)) or self._findings(
             [
                 self._at_surface(open_, self._other),
                 self._at_surface(nodes, self._other, look_deep=True),
@@ -240,7 +261,9 @@ class Unfelt:
         passed = points.silent & other.passed(points.x0, points.x)
         suspect = passed.copy()
         if look_deep:
-            least = np.where(points.silent, SHARE / 2, DEEPEST / 2) * np.maximum(points.extent, other.target.extents.min())
+            least = np.where(points.silent, SHARE / 2, DEEPEST / 2) * np.maximum(
+                points.extent, other.target.extents.min()
+            )
             suspect |= other.depth_behind(points.x) > np.maximum(least - 2 * other.bulge(), 0.0)
         points, passed = points.take(suspect), passed[suspect]
         if not any_over(self._comm, suspect.any()):
@@ -273,6 +296,16 @@ class Unfelt:
             target.surface, before, target.nodes, x0[free], now.x[free], DEPTH * target.size, counts
         )
         return _Found(X[free], passed, np.zeros(len(free)), np.zeros(len(free), dtype=bool))
+
+    def _folds(self, sides: tuple[_Side, ...]) -> list[Finding]:
+        """Membranes that have folded over."""
+        found = [(side.target.surface, np.flatnonzero(side.folded())) for side in sides if side.is_membrane]
+        places = [surface.X[surface.facets[facets]].mean(axis=1) for surface, facets in found]
+        return [
+            Finding(f"{self._name}: folded facets", float(len(X)), tuple(X[0].tolist()), FOLDS, True)
+            for X in places
+            if len(X)
+        ]
 
     def _findings(self, found: list[_Found]) -> list[Finding]:
         """In words, on all ranks (collective)."""

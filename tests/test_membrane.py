@@ -145,6 +145,37 @@ def test_states_before_the_first_touch_predict_nothing_after_it():
     assert max(step.iterations for step in steps[1:]) <= 10
 
 
+def test_a_flat_start_predicts_nothing():
+    """Displacements grow as a root of the pressure from there: twice those of the first step carry the membranes through each
+    other, from where the second took 50 iterations with two rejected trials; it takes six."""
+    problem, p = membranes(order=2, shift=0.1, height=0.3, cells=(24, 20), friction=0.2)
+    first, second = (step for step in quasistatic.march(problem, p, to=800.0, increments=2) if step.nominal)
+    assert first.load == 400.0 and second.rejected == 0 and second.iterations <= 10
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_membrane_that_folds_over_in_a_step_is_no_equilibrium(order):
+    """The node in the middle is carried past its right neighbour: facets point backwards, and the step is rejected. One that
+    turns as a whole does not."""
+    problem, _ = membranes(order=order, shift=0.1, height=0.3, cells=(12, 10))
+    problem.commit()
+
+    def folds(motion):
+        set_field(problem, motion, clamped=False)
+        problem.evaluate()
+        return [f for f in problem.findings() if "folded" in f.name]
+
+    def past(X):
+        u = np.zeros((len(X), 2))
+        u[:, 0] = np.where((X[:, 1] < 0.1) & (np.abs(X[:, 0] - 0.5) < 1e-6), 1.2 / 12, 0.0)
+        return u
+
+    turn = np.array([[np.cos(3.0), -np.sin(3.0)], [np.sin(3.0), np.cos(3.0)]])
+    assert not folds(lambda X: X @ turn.T - X)
+    (found,) = folds(past)
+    assert found.fatal and found.value >= 2.0
+
+
 @pytest.mark.parametrize("μ, limit", [(0.0, 4380.47), (0.5, 4670.9)])
 def test_the_march_ends_where_the_membranes_lock(μ, limit):
     """40 cells meet the limit within a facet of the edge: 0.8 % without friction, 0.5 % with."""
