@@ -187,6 +187,8 @@ class Ties:
         `pressed` with so much, (pieces,) in N; and of the squares of motions (owned dofs, motions) the mean of what goes
         along surfaces with friction, (motions, motions) (collective)."""
         R, admissible = self._admissible()
+        held = np.ones(len(self._nodes), dtype=bool)  # in place
+        held[[p for p, basis in zip(self._pieces, admissible, strict=True) if basis.size]] = False
         geometric = GEOMETRIC * pressed / np.maximum(self._sizes() * self._nodes, 1e-300)
         for p, basis in zip(self._pieces, admissible, strict=True):
             if not basis.size:
@@ -195,20 +197,23 @@ class Ties:
             u = np.stack([response(column) for column in m.T], axis=1)
             resistance = np.linalg.pinv(sum_over(self._bodies.comm, m.T @ u))
             resists, axes = np.linalg.eigh((resistance + resistance.T) / 2)
-            deformation = self._nodes[p] * np.diag(axes.T @ resistance.T @ self._deformation(R, u) @ resistance @ axes)
-            stiff = (deformation > DEFORMS**2) & (resists > geometric[p])
+            u = np.sqrt(self._nodes[p]) * u @ resistance @ axes
+            deformed = self._deformation(R, admissible, u) > DEFORMS**2
+            stiff = deformed[held].any(axis=0) | (deformed.any(axis=0) & (resists > geometric[p]))
             resists[stiff] = np.maximum(resists[stiff], self._k[p])
             self.resistance[p] = basis @ (axes * resists) @ axes.T @ basis.T
             self.rubbing[p] = self._nodes[p] * basis @ rubbing(m) @ basis.T
 
-    def _deformation(self, R: Array, u: Array) -> Array:
-        """(n, n) mean square over a piece's nodes, and sum over the pieces, of what displacements u (owned dofs, n) are
-        beside the rigid motions R (collective)."""
+    def _deformation(self, R: Array, admissible: list[Array], u: Array) -> Array:
+        """(pieces, n) mean square over each piece's nodes of what displacements u (owned dofs, n) are beside those of its
+        rigid motions R that its conditions let be (collective)."""
         u = u.reshape(len(self._piece), -1, u.shape[1])
-        mean = self._by_piece(np.swapaxes(R, 1, 2) @ u) / self._nodes[:, None, None]
-        u = u - R @ sum_over(self._bodies.comm, mean)[self._piece]
-        square = self._by_piece(np.swapaxes(u, 1, 2) @ u) / self._nodes[:, None, None]
-        return np.asarray(sum_over(self._bodies.comm, square.sum(axis=0)))
+        mean = sum_over(self._bodies.comm, self._by_piece(np.swapaxes(R, 1, 2) @ u)) / self._nodes[:, None, None]
+        rigid = np.zeros_like(mean)
+        for p, basis in zip(self._pieces, admissible, strict=True):
+            rigid[p] = basis @ (basis.T @ mean[p])
+        square = self._by_piece(((u - R @ rigid[self._piece]) ** 2).sum(axis=1))
+        return np.asarray(sum_over(self._bodies.comm, square) / self._nodes[:, None])
 
     def _offsets(self) -> Array:
         """(owned nodes, gdim) of the nodes from the middle of their piece, at the present positions (m, collective)."""
