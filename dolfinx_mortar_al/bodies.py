@@ -249,12 +249,18 @@ class Bodies:
         self.set(saved["u"])
 
     def check_constants(self) -> None:
-        """The forms' Constants, such as a load, must be the same on all ranks (collective).
+        """The forms' Constants, such as a load, must be numbers, the same on all ranks (collective).
 
         Raises:
             ValueError: on every rank.
         """
         for k, body in enumerate(self.bodies):
+            values = np.concatenate([[0.0], *(np.ravel(c.value) for c in body.constants)])
+            if any_over(self.comm, not np.isfinite(values).all()):
+                raise ValueError(
+                    f"a Constant in the form of u[{k}], such as a load, has the value {values[~np.isfinite(values)]}: "
+                    "give it a finite number"
+                )
             agreed(
                 self.comm,
                 f"the values of the Constants in the form of u[{k}]",

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot, inverse
-from dolfinx_mortar_al.search import balls, where
+from dolfinx_mortar_al.search import BULGE, balls, where
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions, surface_normal
 
 __all__ = ["ClosestPoint", "closest_in_facet", "penetrates", "project"]
@@ -190,10 +190,24 @@ def _closest_of(
     every: Index = np.arange(len(x))
     begun = look(every, first)
     away[every, first] = np.inf
-    rest = look(*where(away <= begun[3][:, None] + MEETING * target.size_of_facets))
+    rest = look(*_no_farther(target, positions, x, candidates, away, begun[3] + MEETING * target.size_of_facets))
     row, column = (np.concatenate([begun[k], rest[k]]) for k in (0, 1))
     η, distance = (np.concatenate([begun[k], rest[k]]) for k in (2, 3))
     return row, column, η, distance
+
+
+def _no_farther(
+    target: GatheredFacets, positions: Array, x: Array, candidates: Index, away: Array, distance: Array
+) -> tuple[Index, Index]:
+    """Row and column (m,) of the candidates whose balls are `away` (n, k) by no more than `distance` (n,), nor their nodes
+    seen towards their middle: from afar a ball is much deeper than its facet."""
+    row, column = where(away <= distance[:, None])
+    nodes = positions[target.facets[candidates[row, column]]] - x[row, None]
+    middle = nodes.mean(axis=1)
+    depth = np.einsum("nki,ni->nk", nodes, middle / np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-300))
+    low, high = depth.min(axis=1), depth.max(axis=1)
+    near = low - BULGE[target.shape.order] * (high - low) <= distance[row]
+    return row[near], column[near]
 
 
 def _at(target: GatheredFacets, positions: Array, x: Array, point: TargetPoint) -> tuple[ClosestPoint, Index]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,8 @@ def read_msh(path: Path | str, comm: MPI.Comm = MPI.COMM_WORLD, gdim: int | None
             gdim − 1 (membranes), of several types, in no or in several physical groups, or a physical group has facets of
             no such cell; or if it is partitioned.
     """
+    if not isinstance(path, str | PathLike):
+        raise ValueError(f"path = {path!r}: the name of a .msh file; a model of gmsh's goes to DOLFINx's model_to_mesh")
     path = Path(path)
     asked = None if gdim is None else whole("gdim", gdim, least=2, most=3)
     with ExitStack() as stack:

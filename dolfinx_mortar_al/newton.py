@@ -16,6 +16,7 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.contact_iteration import ContactIteration
 from dolfinx_mortar_al.linear_solver import EXTERNAL, LinearSolver
 from dolfinx_mortar_al.load import Load
+from dolfinx_mortar_al.places import Places
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.ties import Bearing
@@ -39,7 +40,6 @@ NEARLY = 0.05  # error of frozen bounds, as a share of the largest μp, below wh
 BOUND_TOLERANCE = 1e-6  # on a frozen friction bound, as a share of the largest μp
 WANDERS_AFTER = 8  # iterations without progress after which friction bounds are frozen,
 SETTLED = 3  # if in so many of them, the last, no point has opened or closed
-HELD = 0.9  # share of what a tie bore, of which it bears less at the next place where something resists the slide
 PUSHED = 0.01  # of the contact forces: what loads push with must be resisted by more than a tie
 PUSHED_ALONG = 1e-3  # the same along surfaces with friction: a tie is not to bear what friction does not
 SLIDES = 0.1  # of the contact forces: what is left of a coarse mesh's pressures along a slide is less
@@ -133,8 +133,7 @@ class NewtonSolver:
         self._status: list[NDArray[np.int8]] = []  # of the pairs' points at the last of them
         self._cycles, self._damping, self._freezes, self._whole_step = 0, 1.0, 0, True
         self._law_since, self._set_since, self._freed = 0, 0, False
-        self._moves, self._stride = 0, 0.0
-        self._borne: NDArray[np.float64] | None = None
+        self._moves, self._places = 0, Places(LONGEST)
         for pair in p.pairs:
             pair.begin()
         p.start_ties()
@@ -315,31 +314,21 @@ class NewtonSolver:
         """A state has converged with pieces tied to where they were: tie them to where they are, or farther on, until
         something resists the slide and the ties bear nothing, or until they bear the same as before and no load pushes them.
         Whether there was anything to change."""
-        p, ties = self.problem, self.problem.ties
+        p, ties, places = self.problem, self.problem.ties, self._places
         if ties is None or not ties.acts:
             return False
-        bear, before = p.ties_bear(), self._borne
-        now = float(bear.borne.max())
-        # what ties bear, as a multiple of what they bore at the last place
-        left = np.nan if before is None else float(np.sum(bear.along * before) / np.sum(before**2))
-        if now <= self.rtol or (left > HELD and np.all(bear.borne <= self._bearable(bear))):
+        bear = p.ties_bear()
+        resisted = places.resist(bear)
+        if float(bear.borne.max()) <= self.rtol or (not resisted and np.all(bear.borne <= self._bearable(bear))):
             ties.borne = bear.borne
             return False
-        if before is None:
-            on = 0.0
-        elif (
-            left < HELD
-        ):  # resisted: so far that nothing is left, had it gone on like that; back if it has gone too far
-            on = (self._stride + 1.0) / (1.0 - left) - 1.0
-        else:  # not yet: twice as far each time
-            on = 2.0 * self._stride + 1.0
+        if not resisted:
             self._let_be(bear)
-        length = abs(on) * p.longest_motion(ties.stretch())
-        on *= min(1.0, LONGEST / max(length, 1e-300))
+        on = places.onwards(bear, resisted, lambda forces: p.longest_motion(ties.motion(forces)))
         if iteration > 0:
             p.measure_ties(self.linear.response)
-        others = p.move_ties(self.snes.getFunction()[0], on)
-        self._borne, self._stride = (None, 0.0) if others else (bear.along, on)
+        if p.move_ties(self.snes.getFunction()[0], bear.along - on):
+            places.forget()
         self._moves += 1
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         return True

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any, Protocol
 
 import numpy as np
@@ -562,7 +563,11 @@ class ContactProblem:
         for pair, touched in zip(self.pairs, self._touched, strict=True):
             pressed += touched * float(np.linalg.norm(pair.force()))
         np.maximum(self._pressed, pressed, out=self._pressed)
-        return self.ties.bearing(self.bulk_forces.array_r, self._pressed, pressed, NOISE * self.force_floor)
+        bear = self.ties.bearing(self.bulk_forces.array_r, self._pressed, pressed, NOISE * self.force_floor)
+        for _, touched in product(self.pairs, self._touched):  # what pushes a piece pushes others that it presses on
+            together = touched & self.ties.tied
+            bear.pushed[together] = bear.pushed[together].max(initial=0.0)
+        return bear
 
     def start_ties(self) -> None:
         """At the start of a solve: along motions that next to nothing resisted in the last equilibrium, or before the first
@@ -572,14 +577,14 @@ class ContactProblem:
             first = any(pair.active.guessed for pair in self.pairs)
             self.ties.begin(self._holding if first else None)
 
-    def move_ties(self, f: PETSc.Vec, on: float) -> bool:
-        """Tie the pieces to where they are, and `on` times as far from where they were tied to; f, the residual, is
-        brought up to date. Whether other motions are tied than before (collective)."""
+    def move_ties(self, f: PETSc.Vec, bear: Array) -> bool:
+        """Tie the pieces to where the ties bear so much, (pieces, motions) in N; f, the residual, is brought up to date.
+        Whether other motions are tied than before (collective)."""
         assert self.ties is not None
         for pair in self.pairs:
             pair.begin_again()
         self.bulk_forces.array[:] -= self.ties.forces()
-        self.ties.move(on)
+        self.ties.move(bear)
         changed = self.ties.engage()
         self.bulk_forces.array[:] += self.ties.forces()
         self.add_contact(f)
@@ -641,7 +646,7 @@ class ContactProblem:
         """The step has converged: it becomes the origin of the next one's slip."""
         self.lacks_stiffness = False
         if self.ties is not None:
-            self.ties.move(0.0)
+            self.ties.move(np.zeros(self.ties.resistance.shape[:2]))
         for pair in self.pairs:
             pair.commit()
 

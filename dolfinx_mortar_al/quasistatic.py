@@ -110,10 +110,12 @@ def march(
         progress: show a progress bar over all stages with load, iterations and contact state (rank 0, standard error).
 
     Raises:
-        ValueError: at the call, on every rank: `increments` < 1, a `to` at which the load stands already or that is no value
-            of it, a `load` that is none; an argument, and later an event, that differs between ranks.
+        ValueError: at the call, on every rank: bodies that are motions, `increments` < 1, a `to` at which the load stands
+            already or that is no value of it, a `load` that is none; an argument, and later an event, that differs between
+            ranks.
         StepFailure: on every rank, in a step.
     """
+    validation.check_still(problem.motions)
     smallest = validation.number("smallest", smallest, above=0.0, most=1.0)
     event = Event(problem.comm, until)
     if isinstance(load, Stage | list | tuple):
@@ -164,6 +166,7 @@ def follow(
     first, smallest = validation.number("first", first), validation.number("smallest", smallest, above=0.0, most=1.0)
     if first == 0.0:
         raise ValueError("first = 0: the path needs a first load increment, which gives it its direction")
+    validation.check_still(problem.motions)
     moved, event = _load_of(problem, load), Event(problem.comm, until)
     if not moved.is_number:
         raise ValueError(f"load: {type(load).__name__} of several components; the unknown load of a path is one number")

@@ -50,9 +50,9 @@ class Bearing(NamedTuple):
     """What ties bear, by pieces.
 
     Attributes:
-        along: (pieces, motions) along the motions of each piece, as shares of the largest contact forces on it in this solve,
-            or of what loads push with, if that is more.
-        borne: (pieces,) their norm.
+        along: (pieces, motions) along the motions of each piece (N).
+        borne: (pieces,) their norm, as a share of `most`.
+        most: (pieces,) the largest contact forces on each piece in this solve, or what loads push with, if that is more (N).
         alone: (pieces,) whether it is more than half of the present ones: one side alone presses the piece against its tie.
         pushed: (pieces,) what loads push with along the same motions, as the share that `borne` is.
         rubs: (pieces,) whether friction could bear it.
@@ -60,6 +60,7 @@ class Bearing(NamedTuple):
 
     along: Array
     borne: Array
+    most: Array
     alone: Flags
     pushed: Array
     rubs: Flags
@@ -77,6 +78,7 @@ class Ties:
         resistance: (pieces, motions, motions) to the rigid motions of each piece in the last equilibrium (N/m), at least a
             tie's where it is a stiffness that resists; 0 where that is not known.
         rubbing: (pieces, motions, motions) share of each motion's square that goes along surfaces with friction.
+        tied: (pieces,) which contact alone holds.
         slipping: (pieces,) which loads push along such surfaces beyond what friction bears: they are not tied along them.
         let_be: (pieces,) which are not tied in this solve.
         borne: (pieces,) what ties bear in the last equilibrium, as a share of the contact forces.
@@ -91,7 +93,8 @@ class Ties:
         self._nodes = np.maximum(count, 1.0)
         # n springs of k at n nodes: k n^(2/d) is what a body resists a deformation of its size with, k its nodes' stiffness
         self._k = STIFFNESS * total / self._nodes ** (1.0 + 2.0 / d)
-        self._pieces = [int(p) for p in np.flatnonzero(self._k)]
+        self.tied: Flags = self._k > 0.0
+        self._pieces = [int(p) for p in np.flatnonzero(self.tied)]
         m = 3 * (d - 1)
         self.anchor: Array = bodies.get()
         self.resistance: Array = np.zeros((bodies.pieces, m, m))
@@ -268,7 +271,7 @@ class Ties:
         size, most = np.linalg.norm(borne, axis=1), np.maximum(np.maximum(most, pushed), 1e-300)
         rubs = np.einsum("pi,pij,pj->p", borne, self.rubbing, borne) > (RUBS * size) ** 2
         alone = (size > present / 2) & (present > 0)
-        return Bearing(borne / most[:, None], size / most, alone, pushed / most, rubs)
+        return Bearing(borne, size / most, most, alone, pushed / most, rubs)
 
     def springs(self, *, multigrid: bool) -> Array:
         """(owned nodes, gdim, gdim) stiffness (N/m) of weak springs at the nodes, along the motions: weaker for factors than
@@ -279,13 +282,17 @@ class Ties:
 
     # ---------------------------------------------------------------- steps
 
-    def stretch(self) -> Array:
-        """(owned dofs,) how far the pieces are from where they are tied to, along the ties (m, collective)."""
-        return np.asarray(self.times(self._bodies.get() - self.anchor) @ self.motions)
+    def motion(self, forces: Array) -> Array:
+        """(owned dofs,) how far (m) the pieces are from where ties that bear `forces` (pieces, motions) hold them
+        (collective)."""
+        away = np.zeros_like(forces)
+        away[self._pieces] = forces[self._pieces] / (self._k * self._nodes)[self._pieces, None]
+        return np.asarray(np.einsum("nim,nm->ni", self._rigid_motions(), away[self._piece]).ravel())
 
-    def move(self, on: float) -> None:
-        """Tie the pieces to where they are, and `on` times as far from where they were tied to (collective)."""
-        self.anchor = self._bodies.get() + on * self.stretch()
+    def move(self, bear: Array) -> None:
+        """Tie the pieces to where, as they are, ties along the present motions bear so much, (pieces, motions) in N
+        (collective)."""
+        self.anchor = self._bodies.get() - self.motion(bear)
 
     def snapshot(self) -> dict[str, Array]:
         """What a step may change."""

@@ -300,6 +300,19 @@ def check_motions(motions: Sequence[Any], bodies: int) -> None:
         )
 
 
+def check_still(motions: Sequence[Any]) -> None:
+    """No body of a problem is a motion.
+
+    Raises:
+        ValueError: if one is.
+    """
+    if motions:
+        raise ValueError(
+            f"problem: {len(motions)} of its displacements move; march it in time with dynamics.march(problem, to=…), or "
+            "pass ContactProblem the Body itself instead of dynamics.Motion(body, step=…)"
+        )
+
+
 def joint_thickness(contact: Any, name: str, bodies: Sequence[Any]) -> float:
     """Thickness out of the plane (m) of a contact: its own, or that of the bodies it joins, or 1 where neither is said.
 

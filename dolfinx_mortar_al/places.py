@@ -1,0 +1,80 @@
+"""Places that sliding pieces are tied to, one after the other: where their ties bear nothing (``docs/newton.md``).
+
+What ties bear is a function of where they are tied to, and Newton's method for the bodies gives one value of it at each
+place. As long as it is linear, what the ties bore at one place more than there are of them says all: Anderson's method
+(J. ACM 12, 1965, doi:10.1145/321296.321305) goes to where they bear nothing. With one tie that is the secant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.ties import Bearing
+
+__all__ = ["Places"]
+
+Array = NDArray[np.float64]
+
+HELD = 0.9  # share of what a tie bore, of which it bears less at the next place where something resists the slide
+LINEAR = 1e-6  # share of the largest singular value below which differences of forces are round-off
+
+
+class Places:
+    """The places of a solve.
+
+    Args:
+        longest: way to the next place (target facets).
+    """
+
+    def __init__(self, longest: float) -> None:
+        self._longest = longest
+        self.forget()
+
+    def forget(self) -> None:
+        """Other motions are tied: start anew."""
+        self._forces: list[Array] = []
+        self._moves: list[Array] = []
+        self._stride = 0.0
+
+    def resist(self, bear: Bearing) -> bool:
+        """Whether something resists the slide: the ties bear less than at the last place, if there was one."""
+        if not self._forces:
+            return True
+        now, before = bear.along * self._weights(bear), self._forces[-1] * self._weights(bear)
+        return bool(np.sum(now * before) < HELD * np.sum(before**2))
+
+    @staticmethod
+    def _weights(bear: Bearing) -> Array:
+        """(pieces, 1) that make forces shares of the largest ones on each piece that bears something."""
+        return np.where(bear.borne > 0.0, 1.0 / bear.most, 0.0)[:, None]
+
+    def onwards(self, bear: Bearing, resisted: bool, length: Callable[[Array], float]) -> Array:
+        """How far on to tie the pieces: by as much as would make the ties bear so much more, (pieces, motions) in N. It is
+        to where they should bear nothing or, where that is backwards or too far and nothing has resisted, twice as far each
+        time. `length` is that of a way in target facets."""
+        f = on = bear.along
+        if self._forces:
+            weights = self._weights(bear)
+            on = self._balanced(f, weights)
+            forwards = float(np.sum(weights**2 * on * f)) > 0.0
+            if not resisted and not (forwards and length(on) <= self._longest):
+                self._stride = 2.0 * self._stride + 1.0
+                on = (1.0 + self._stride) * f
+            elif not forwards:
+                on = f
+        on = on * min(1.0, self._longest / max(length(on), 1e-300))
+        self._forces.append(f)
+        self._moves.append(on)
+        return on
+
+    def _balanced(self, f: Array, weights: Array) -> Array:
+        """The way to where forces that are linear would vanish, Picard's for what the places so far say nothing of."""
+        forces, most = [*self._forces, f], np.count_nonzero(f)
+        Δf = np.diff(forces, axis=0)[-most:].reshape(-1, f.size).T
+        Δa = np.array(self._moves)[-most:].reshape(-1, f.size).T
+        w = np.broadcast_to(weights, f.shape).ravel()
+        γ = np.linalg.lstsq(w[:, None] * Δf, w * f.ravel(), rcond=LINEAR)[0]
+        return np.asarray((f.ravel() - Δf @ γ - Δa @ γ).reshape(f.shape))
