@@ -1,8 +1,8 @@
 """Places that sliding pieces are tied to, one after the other: where their ties bear nothing (``docs/newton.md``).
 
 What ties bear is a function of where they are tied to, and Newton's method for the bodies gives one value of it at each
-place. As long as it is linear, what the ties bore at one place more than there are of them says all: Anderson's method
-(J. ACM 12, 1965, doi:10.1145/321296.321305) goes to where they bear nothing. With one tie that is the secant.
+place. As long as it is linear, what the ties bore at the last places says where they bear nothing: Anderson's method (J. ACM
+12, 1965, doi:10.1145/321296.321305) remembers one for each piece that its tie holds. With one piece that is the secant.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Places:
 
     def _balanced(self, f: Array, weights: Array) -> Array:
         """The way to where forces that are linear would vanish, Picard's for what the places so far say nothing of."""
-        forces, most = [*self._forces, f], np.count_nonzero(f)
+        forces, most = [*self._forces, f], np.count_nonzero(weights)
         Δf = np.diff(forces, axis=0)[-most:].reshape(-1, f.size).T
         Δa = np.array(self._moves)[-most:].reshape(-1, f.size).T
         w = np.broadcast_to(weights, f.shape).ravel()
