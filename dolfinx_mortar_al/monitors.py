@@ -25,6 +25,9 @@ from dolfinx_mortar_al.validation import check_law, number
 __all__ = ["Finding", "ModelWarning", "Monitor", "Reporter", "ellipticity", "inversion", "show_warnings", "wrinkling"]
 
 
+AGAIN = 10.0  # times what has been said of a finding: it is said again
+
+
 @dataclass(frozen=True)
 class Finding:
     """The least value of a monitored quantity, below its bound; where (reference position, m; empty where there is no place);
@@ -55,17 +58,21 @@ def show_warnings() -> None:
 
 
 class Reporter:
-    """Warns of each monitor's first finding of a run, on rank 0; the steps have them all."""
+    """Warns of each monitor's first finding of a run, and of one that has grown tenfold since, on rank 0; the steps have them
+    all."""
 
     def __init__(self, rank: int) -> None:
-        self._rank, self._reported = rank, set()  # type: int, set[str]
+        self._rank, self._reported = rank, {}  # type: int, dict[str, float]
 
     def report(self, findings: Iterable[Finding], when: str) -> None:
         """Findings of the step at `when` (a load or time, in words)."""
         for finding in findings:
-            if finding.name not in self._reported and self._rank == 0:
+            said = self._reported.get(finding.name)
+            if said is not None and not abs(finding.value) > AGAIN * abs(said):
+                continue
+            self._reported[finding.name] = finding.value
+            if self._rank == 0:
                 warnings.warn(f"at {when}: {finding}", ModelWarning, stacklevel=4)
-            self._reported.add(finding.name)
 
 
 class Monitor:

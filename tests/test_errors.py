@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import warnings
 from contextlib import nullcontext as nothing
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from dolfinx_mortar_al import (
     quasistatic,
     read_msh,
 )
+from dolfinx_mortar_al.monitors import Finding, Reporter
 from meshes.two_beams import LOWER_TOP, UPPER_BOTTOM, TwoBeams
 
 
@@ -133,6 +135,8 @@ def test_an_inverted_start(domain):
 
 
 def test_files_that_are_not_there_or_not_meshes(shared_path):
+    with pytest.raises(ValueError, match=r"path = None: the name of a .msh file"):
+        read_msh(None)
     with pytest.raises(FileNotFoundError, match="no such file"):
         read_msh(shared_path / "missing.msh")
     bad = shared_path / "bad.msh"
@@ -179,6 +183,23 @@ class _GivesUpLater(NewtonSolver):
         result = super().solve(path)
         result.converged &= float(self.load.value) <= 2.0
         return result
+
+
+def test_a_load_that_is_no_number():
+    problem, P = beams()
+    P.value = np.nan
+    with pytest.raises(ValueError, match=r"a Constant in the form of u\[0\], such as a load, has the value \[nan\]"):
+        NewtonSolver(problem).solve()
+
+
+def test_a_finding_is_said_again_when_it_has_grown_tenfold():
+    reporter, said = Reporter(0), []
+    for value in (1e-3, 2e-3, 9e-3, 2e-2, 1e-3, 0.1):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            reporter.report([Finding("slide", value, (), "", False)], "load 1")
+        said += [value] * len(caught)
+    assert said == [1e-3, 2e-2]
 
 
 def test_what_had_converged_stays_on_disk(shared_path):

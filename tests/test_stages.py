@@ -217,6 +217,8 @@ def test_arguments_are_checked_at_the_call():
         (lambda: dynamics.march(problem, to=1.0, until=3), "until = 3"),
         (lambda: dynamics.march(problem, to=1.0, solver=3), "solver: int"),
         (lambda: dynamics.march(block.problem, to=1.0), "0 of its 1 displacements move"),
+        (lambda: quasistatic.march(problem, block.top, to=PRESSED, increments=1), "1 of its displacements move"),
+        (lambda: quasistatic.follow(problem, block.top, first=1.0, length=1.0, steps=1), "march it in time"),
         (lambda: quasistatic.follow(block.problem, block.top, first=1.0, length=1.0, steps=1), "one number"),
         (lambda: quasistatic.follow(block.problem, print, first=0.0, length=1.0, steps=1), "first = 0"),
         (lambda: quasistatic.march(block.problem, block.top, to=(1.0,), increments=1), r"shape \(2,\)"),
