@@ -45,6 +45,7 @@ PUSHED_ALONG = 1e-3  # the same along surfaces with friction: a tie is not to be
 SLIDES = 0.1  # of the contact forces: what is left of a coarse mesh's pressures along a slide is less
 MAX_MOVES = 20  # places that a sliding piece is tied to in a solve
 LETS_GO = 1e-3  # relative residual from which on Newton knows which points are beyond the target's end
+WILD = 10.0  # times the residual that a solve starts from
 GIVES_UP_AFTER, NO_PROGRESS = 16, 0.1  # as it is when five iterations in a row have relative residuals above this
 
 
@@ -61,6 +62,12 @@ class NewtonResult:
 
     #: relative residual of the last iteration: 1 is no progress at all
     residual: float = np.inf
+
+    @property
+    def wild(self) -> bool:
+        """Whether the residual was larger on the way than at the start, by far."""
+        sizes = [max(norms) for norms in self.norms]
+        return bool(sizes) and max(sizes) > WILD * sizes[0]
 
     @property
     def unstable(self) -> bool:

@@ -41,6 +41,11 @@ UNSTABLE = Finding(
     False,
 )
 LEAPT = "an unstable equilibrium, reached from a stable one"
+OFF = 1 / 16  # of an increment, down to which a step that leaps out of contact is tried again
+LEAPT_OFF = (
+    "all contact was lost in a step in which Newton's iterates were wild, as where an arch snaps through: it may be another "
+    "equilibrium than the one that the bodies come to; take smaller steps"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -300,6 +305,7 @@ class _LoadControl(Controller[Step]):
         self.leg, self._start = int(start), start - int(start)
         self._leg_over = self._over = False
         self._was_unstable = self._unstable = False  # the last accepted equilibrium, and that of the last trial
+        self._touched = self._touching()
         # whether the next, any trial of this step does without a prediction
         self._from_last = self._tried_from_last = False
         self._path = start
@@ -347,12 +353,25 @@ class _LoadControl(Controller[Step]):
         if attempt.good and self._unstable and not self._was_unstable:
             # a body does not come to rest there: there may be a stable equilibrium that this step has leapt over
             attempt.good, attempt.message = stepping.CUT * length < max(LEAP, self.smallest), LEAPT
+        if attempt.good and attempt.newton.wild:
+            self._look_for_contact(attempt, length)
         again = not attempt.newton.converged and not self._tried_from_last and bool(self.problem.floating)
         # A prediction may leave nothing closed or sticking that holds a body which only contact holds; the last state has it.
         self._from_last = again and predicted
         if self._from_last:
             attempt.cut, self._tried_from_last = 1.0, True
         return attempt
+
+    def _touching(self) -> list[bool]:
+        """Of each pair, whether anything is in contact (collective)."""
+        return [pair.closed_fraction() > 0.0 for pair in self.problem.pairs]
+
+    def _look_for_contact(self, attempt: Attempt, length: float) -> None:
+        """A trial that has leapt out of contact is tried again with less; down to OFF it counts, with a finding."""
+        for pair, before, now in zip(self.problem.pairs, self._touched, self._touching(), strict=True):
+            if before and not now:
+                attempt.good, attempt.message = stepping.CUT * length < max(OFF, self.smallest), LEAPT_OFF
+                attempt.findings.append(Finding(f"{pair.name}: contact lost in a leap", 0.0, (), LEAPT_OFF, False))
 
     def undo(self) -> None:
         self._leg_over = self._over = False
@@ -364,7 +383,7 @@ class _LoadControl(Controller[Step]):
 
     def accept(self, done: stepping.Step) -> Step:
         leg, stage = self._legs[self.leg], self.leg
-        self._was_unstable = self._unstable
+        self._was_unstable, self._touched = self._unstable, self._touching()
         self._from_last = self._tried_from_last = False
         self.problem.commit()
         leg.x, self._at = self._x, self._tried

@@ -54,3 +54,13 @@ def test_a_step_does_not_leap_to_an_unstable_equilibrium():
     assert run["findings"] == [] and sum(rejected for _, rejected, _ in run["steps"]) == 1
     ends = np.array(run["forces"][-1]), np.array(finer["forces"][-1])
     assert np.linalg.norm(ends[0] - ends[1]) < 0.02 * np.linalg.norm(ends[1])
+
+
+def test_a_step_does_not_leap_out_of_contact():
+    """A soft half ring, dragged by more than its radius in an increment: a quarter of it snaps the ring through, off the
+    slab; an eighth drags it on, with the force of four times as many increments (to .02)."""
+    scene = draw(41001, 24)
+    run, finer = march(scene), march(scene, 4)
+    ends = np.array(run["forces"][-1]), np.array(finer["forces"][-1])
+    assert ends[1][0] > 0.1 and np.linalg.norm(ends[0] - ends[1]) < 0.02 * np.linalg.norm(ends[1])
+    assert not any("leap" in name for name in run["findings"])
