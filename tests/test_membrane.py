@@ -147,10 +147,10 @@ def test_states_before_the_first_touch_predict_nothing_after_it():
 
 def test_a_flat_start_predicts_nothing():
     """Displacements grow as a root of the pressure from there: twice those of the first step carry the membranes through each
-    other, from where the second took 50 iterations with two rejected trials; it takes six."""
+    other, from where the second took 32 iterations with a rejected trial; it takes three."""
     problem, p = membranes(order=2, shift=0.1, height=0.3, cells=(24, 20), friction=0.2)
-    first, second = (step for step in quasistatic.march(problem, p, to=800.0, increments=2) if step.nominal)
-    assert first.load == 400.0 and second.rejected == 0 and second.iterations <= 10
+    first, second = quasistatic.march(problem, p, to=120.0, increments=2)
+    assert (first.load, first.rejected, second.rejected) == (60.0, 0, 0) and second.iterations <= 5
 
 
 @pytest.mark.parametrize("order", [1, 2])
