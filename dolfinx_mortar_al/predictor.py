@@ -40,7 +40,7 @@ class Predictor:
         parted since the last one, the states before say nothing of what comes; nor does a start without stiffness, such as a
         flat membrane, from which displacements grow as a root of the load (collective)."""
         state = self.problem.snapshot()
-        touching = [pair.closed_fraction() > 0.0 for pair in self.problem.pairs]
+        touching = self._touch()
         if self._states and (touching != self._touching or self._was_slack):
             self._forget(keep=0)
         self._touching, self._was_slack = touching, self.problem.lacks_stiffness
@@ -50,6 +50,14 @@ class Predictor:
         if len(self._states) > MAX_ORDER + 1:
             del self._abscissae[0], self._states[0]
             self._guesses = 0
+
+    def parted(self) -> list[bool]:
+        """Of each pair, whether it touched in the last state and does not now (collective)."""
+        return [before and not now for before, now in zip(self._touching, self._touch(), strict=True)]
+
+    def _touch(self) -> list[bool]:
+        """Of each pair, whether anything is in contact (collective)."""
+        return [pair.closed_fraction() > 0.0 for pair in self.problem.pairs]
 
     def turn(self, scale: float) -> None:
         """From here on the abscissa is another: 0 at the last state and `scale` times the distances there were; 0 where

@@ -305,7 +305,6 @@ class _LoadControl(Controller[Step]):
         self.leg, self._start = int(start), start - int(start)
         self._leg_over = self._over = False
         self._was_unstable = self._unstable = False  # the last accepted equilibrium, and that of the last trial
-        self._touched = self._touching()
         # whether the next, any trial of this step does without a prediction
         self._from_last = self._tried_from_last = False
         self._path = start
@@ -353,25 +352,17 @@ class _LoadControl(Controller[Step]):
         if attempt.good and self._unstable and not self._was_unstable:
             # a body does not come to rest there: there may be a stable equilibrium that this step has leapt over
             attempt.good, attempt.message = stepping.CUT * length < max(LEAP, self.smallest), LEAPT
-        if attempt.good and attempt.newton.wild:
-            self._look_for_contact(attempt, length)
+        if attempt.good and attempt.newton.wild and any(parted := self._predictor.parted()):
+            # nor out of contact; with as little as OFF it counts, and is said
+            attempt.good, attempt.message = stepping.CUT * length < max(OFF, self.smallest), LEAPT_OFF
+            for pair in (pair for pair, has in zip(self.problem.pairs, parted, strict=True) if has):
+                attempt.findings.append(Finding(f"{pair.name}: contact lost in a leap", 0.0, (), LEAPT_OFF, False))
         again = not attempt.newton.converged and not self._tried_from_last and bool(self.problem.floating)
         # A prediction may leave nothing closed or sticking that holds a body which only contact holds; the last state has it.
         self._from_last = again and predicted
         if self._from_last:
             attempt.cut, self._tried_from_last = 1.0, True
         return attempt
-
-    def _touching(self) -> list[bool]:
-        """Of each pair, whether anything is in contact (collective)."""
-        return [pair.closed_fraction() > 0.0 for pair in self.problem.pairs]
-
-    def _look_for_contact(self, attempt: Attempt, length: float) -> None:
-        """A trial that has leapt out of contact is tried again with less; down to OFF it counts, with a finding."""
-        for pair, before, now in zip(self.problem.pairs, self._touched, self._touching(), strict=True):
-            if before and not now:
-                attempt.good, attempt.message = stepping.CUT * length < max(OFF, self.smallest), LEAPT_OFF
-                attempt.findings.append(Finding(f"{pair.name}: contact lost in a leap", 0.0, (), LEAPT_OFF, False))
 
     def undo(self) -> None:
         self._leg_over = self._over = False
@@ -383,7 +374,7 @@ class _LoadControl(Controller[Step]):
 
     def accept(self, done: stepping.Step) -> Step:
         leg, stage = self._legs[self.leg], self.leg
-        self._was_unstable, self._touched = self._unstable, self._touching()
+        self._was_unstable = self._unstable
         self._from_last = self._tried_from_last = False
         self.problem.commit()
         leg.x, self._at = self._x, self._tried
