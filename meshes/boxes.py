@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -95,7 +96,7 @@ def boxes_in_gmsh(gmsh: Any, boxes: Sequence[Box], simplices: bool) -> None:
         facets = structured_box(gmsh, origin, box.size, box.cells, simplices, box.tag)
         centres = np.array([model.occ.getCenterOfMass(d - 1, facet) for facet in facets])
         for face, tag in box.faces.items():
-            entities.setdefault(tag, []).extend(np.array(facets)[box.is_on(face, centres)].tolist())
+            entities.setdefault(tag, []).extend(compress(facets, box.is_on(face, centres)))
     for tag, members in entities.items():
         model.addPhysicalGroup(d - 1, members, tag)
     model.mesh.generate(d)
