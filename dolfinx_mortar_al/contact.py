@@ -172,7 +172,7 @@ class ContactPair(PairResults):
         self.facets = Facets.of(contact.contactor, self._body1.space)
         contactor = self.facets.gather()
         self.target = self._make_target(bodies, contactor.size_of_facets)
-        self._turns = contactor.turns[contactor.places_of(self.facets)]
+        self._contactor, self._own = contactor, contactor.places_of(self.facets)
         #: Gauss points: all there is without segments, and with them where λ̂_N is kept from step to step
         self.gauss = self._points(contactor)
         self.integration = self.gauss

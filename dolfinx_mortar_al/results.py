@@ -17,7 +17,7 @@ from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.projection import Projection, dot
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.segments import Segments
-from dolfinx_mortar_al.surface import surface_normal
+from dolfinx_mortar_al.surface import GatheredFacets, surface_normal
 from dolfinx_mortar_al.targets import DeformableTarget, Target
 
 __all__ = ["PairResults"]
@@ -50,6 +50,13 @@ BY_NORMALS = (
     'or take projection="closest"'
 )
 TURNED = 0.03  # of the force
+PATCHES = (
+    "curved surfaces are in contact in patches, as the gaps between their straight facets are larger than what the pressure "
+    "closes, and pressures are too large; take meshes of order 2 (gmsh -order 2) with displacements of order 2, or refine "
+    "both surfaces"
+)
+PATCHY = 0.1  # of the contact: next to its end facets are open in part
+HOLES = 2  # facets from any hole to its edge: nodes of meshes that are to match nearly meet every few facets
 SHARE = 0.01  # of a target facet: overlaps below it are those of facets that do not match on curved surfaces
 AT_END = 0.1  # weight of the other nodes where a point counts as at the target's end
 
@@ -77,8 +84,9 @@ class PairResults:
     area: float
     _at_end: NDArray[np.bool_]
     _prescribed_facets: NDArray[np.bool_]
-    #: (nf,) by how much the contactor turns over each of its facets (rad)
-    _turns: Array
+    #: the whole contactor, and (nf,) which of its facets this rank has
+    _contactor: GatheredFacets
+    _own: NDArray[np.int64]
 
     @property
     def j(self) -> Array:
@@ -238,13 +246,36 @@ class PairResults:
         normal = surface_normal(at.a)
         normal /= (np.sqrt(dot(normal, normal)) * np.where(dot(normal, at.ν) < 0, -1.0, 1.0))[:, None]
         pressed = self.j[closed] * self.state.p[closed]
-        turns = self._turns[facet] > self.target.surface.turns[at.point.facet]
+        turns = self._contactor.turns[self._own[facet]] > self.target.surface.turns[at.point.facet]
         mine = np.append((pressed * turns) @ (at.ν - normal), pressed.sum())
         force = sum_over(self.comm, mine)
         share = float(np.linalg.norm(force[:-1]) / force[-1]) if force[-1] > 0 else 0.0
         if share < TURNED:
             return None
         return Finding(f"{self.name}: share of the force that is off the target's normal", share, (), BY_NORMALS, False)
+
+    def patches(self) -> Finding | None:
+        """What is open amid the contact, as a share of it, where straight facets of curved surfaces leave larger gaps than
+        the pressure closes (collective). A contact that ends where the surfaces part has open points in its last facets
+        alone."""
+        contactor, facet = self._contactor, self._own[self.integration.facet]
+        if self.target.is_contactor:
+            return None
+        short = contactor.sagittas[facet]
+        if isinstance(self.target, DeformableTarget):
+            short = np.maximum(short, self.target.surface.sagittas[self.at.point.facet])
+        closed = self.state.status != OPEN
+        touched = np.zeros(len(contactor.facets))
+        touched[facet[closed]] = 1.0
+        self.comm.Allreduce(MPI.IN_PLACE, touched, MPI.MAX)
+        within = contactor.amid(touched > 0, HOLES)[facet]
+        j = np.where(within, self.j, 0.0)
+        whole, open_, needed, borne = sum_over(
+            self.comm, np.array([j.sum(), j @ ~closed, j @ (short * self.epsilon.normal), j @ self.state.p])
+        )
+        if open_ <= PATCHY * whole or needed <= borne:
+            return None
+        return Finding(f"{self.name}: open share amid the contact", float(open_ / whole), (), PATCHES, False)
 
     def _last_points(self) -> NDArray[np.bool_]:
         """(n,) the points next to an end of the contactor."""

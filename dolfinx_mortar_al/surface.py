@@ -344,6 +344,17 @@ class GatheredFacets:
             [np.arange(len(self.facets))[:, None], other.reshape(len(self.shape.sides), -1).T], axis=1
         )
 
+    def amid(self, marked: NDArray[np.bool_], most: int) -> NDArray[np.bool_]:
+        """(nf,) which facets lie within the marked ones (nf,), holes of up to twice `most` facets across included."""
+        at_end = self.boundary_sides.any(axis=1)
+        grown = marked
+        for _ in range(most):
+            grown = grown[self.neighbours].any(axis=1)
+        for _ in range(most):
+            grown = grown[self.neighbours].all(axis=1) & ~at_end
+        grown = grown | marked
+        return np.asarray(grown[self.neighbours].all(axis=1))
+
     @cached_property
     def normals_at_corners(self) -> Array:
         """(nf, corners, gdim) the mean unit normal of the facets that meet at each corner, in the reference configuration."""
@@ -358,6 +369,15 @@ class GatheredFacets:
         """(nf,) by how much the surface turns over each facet (rad): between the mean normals at its corners."""
         normal = self.normals_at_corners
         return np.asarray(np.arccos(np.clip(normal @ np.swapaxes(normal, 1, 2), -1.0, 1.0)).max(axis=(1, 2)))
+
+    @cached_property
+    def sagittas(self) -> Array:
+        """(nf,) how far facets fall short of the smooth surface that they stand for (m): one that turns by θ over a facet of
+        length h rises by hθ/8, and what a curved facet rises by itself does not lack."""
+        X, N = self.X[self.facets], ShapeFunctions(self.shape.cell, 1).tabulate(self.shape.nodes)[0]
+        risen = np.linalg.norm(X - N @ X[:, : N.shape[1]], axis=2).max(axis=1)
+        length = 2 * np.linalg.norm(X - X.mean(axis=1, keepdims=True), axis=2).max(axis=1)
+        return np.asarray(np.maximum(length * self.turns / 8 - risen, 0.0))
 
     @cached_property
     def size_of_facets(self) -> float:
