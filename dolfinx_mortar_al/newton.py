@@ -313,6 +313,7 @@ class NewtonSolver:
         """Let points beyond the target's end go; whether there were any (collective)."""
         if not any([pair.let_go() for pair in self.problem.pairs]):
             return False
+        self._places.forget()  # what ties bore with them in contact
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         self.problem.reconsider(self.snes.getFunction()[0])
         return True
@@ -325,13 +326,17 @@ class NewtonSolver:
         if ties is None or not ties.acts:
             return False
         bear = p.ties_bear()
-        resisted = places.resist(bear)
+
+        def length(forces: NDArray[np.float64]) -> float:
+            return p.longest_motion(ties.motion(forces))
+
+        resisted = places.resist(bear, length)
         if float(bear.borne.max()) <= self.rtol or (not resisted and np.all(bear.borne <= self._bearable(bear))):
             ties.borne = bear.borne
             return False
         if not resisted:
             self._let_be(bear)
-        on = places.onwards(bear, resisted, lambda forces: p.longest_motion(ties.motion(forces)))
+        on = places.onwards(bear, resisted, length)
         if iteration > 0:
             p.measure_ties(self.linear.response)
         if p.move_ties(self.snes.getFunction()[0], bear.along - on):

@@ -19,6 +19,8 @@ __all__ = ["Places"]
 Array = NDArray[np.float64]
 
 HELD = 0.9  # share of what a tie bore, of which it bears less at the next place where something resists the slide
+SOFTLY = 0.995  # that share at the next place where nothing resists but how the pressures of meshes differ,
+NOISE = 0.01  # of the contact forces, as which they push where no load does
 LINEAR = 1e-6  # share of the largest singular value below which differences of forces are round-off
 
 
@@ -39,12 +41,21 @@ class Places:
         self._moves: list[Array] = []
         self._stride = 0.0
 
-    def resist(self, bear: Bearing) -> bool:
-        """Whether something resists the slide: the ties bear less than at the last place, if there was one."""
+    def resist(self, bear: Bearing, length: Callable[[Array], float]) -> bool:
+        """Whether something resists the slide: the ties bear less than at the last place, if there was one, or so little
+        less that the first places, one for each piece, say that they bear nothing at one within reach. `length` is that of
+        a way in target facets."""
         if not self._forces:
             return True
-        now, before = bear.along * self._weights(bear), self._forces[-1] * self._weights(bear)
-        return bool(np.sum(now * before) < HELD * np.sum(before**2))
+        weights = self._weights(bear)
+        now, before = bear.along * weights, self._forces[-1] * weights
+        left = float(np.sum(now * before) / max(np.sum(before**2), 1e-300))
+        if left < HELD:
+            return True
+        softly = (left < SOFTLY) & (bear.borne > np.where(bear.pushed > bear.borne, 0.0, NOISE))
+        on = self._balanced(bear.along, weights)
+        known = len(self._forces) <= np.count_nonzero(weights)
+        return bool(known and softly.any() and np.sum(weights * on * now) > 0.0 and length(on) <= self._longest)
 
     @staticmethod
     def _weights(bear: Bearing) -> Array:

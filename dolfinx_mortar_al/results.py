@@ -273,7 +273,7 @@ class PairResults:
         whole, open_, needed, borne = sum_over(
             self.comm, np.array([j.sum(), j @ ~closed, j @ (short * self.epsilon.normal), j @ self.state.p])
         )
-        if open_ <= PATCHY * whole or needed <= borne:
+        if open_ <= PATCHY * whole or not needed > borne > 0.0:
             return None
         return Finding(f"{self.name}: open share amid the contact", float(open_ / whole), (), PATCHES, False)
 

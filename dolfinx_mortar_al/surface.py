@@ -29,6 +29,7 @@ __all__ = ["Facets", "GatheredFacets", "ShapeFunctions", "Surface", "check_surfa
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+FLAT = 1e-6  # rad: what straight surfaces turn by in round-off
 SQUARES = ((0, 4, 5, 8), (4, 1, 8, 6), (5, 8, 2, 7), (8, 6, 7, 3))  # of a quadrilateral of order 2, by its nodes
 
 
@@ -377,7 +378,7 @@ class GatheredFacets:
         X, N = self.X[self.facets], ShapeFunctions(self.shape.cell, 1).tabulate(self.shape.nodes)[0]
         risen = np.linalg.norm(X - N @ X[:, : N.shape[1]], axis=2).max(axis=1)
         length = 2 * np.linalg.norm(X - X.mean(axis=1, keepdims=True), axis=2).max(axis=1)
-        return np.asarray(np.maximum(length * self.turns / 8 - risen, 0.0))
+        return np.where(self.turns > FLAT, np.maximum(length * self.turns / 8 - risen, 0.0), 0.0)
 
     @cached_property
     def size_of_facets(self) -> float:

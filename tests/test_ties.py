@@ -14,8 +14,11 @@ import free_bodies
 from pins import half_pin, pin
 from rolling import Scene, build, middle
 
-from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, obstacles, quasistatic
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, obstacles, quasistatic, reaction
 from dolfinx_mortar_al.output import Probe
+from dolfinx_mortar_al.verify.meshes import build as build_grids
+from dolfinx_mortar_al.verify.meshes import grid
+from dolfinx_mortar_al.verify.model import hold, space
 from meshes.disc import RIM, Disc
 
 E = 1e6  # Pa
@@ -293,3 +296,36 @@ def test_two_blocks_that_rock_on_each_other_are_in_balance():
         assert np.allclose(
             problem.pair("low").force(), [-loads["Q"].value, loads["P"].value], atol=1e-6 * loads["P"].value
         )
+
+
+@pytest.mark.parametrize("degrees", [3.0, 6.0])
+def test_a_shallow_wedge_is_held_by_its_slope(degrees):
+    """Half of a steel wedge (mm, N) slides down a block without friction under a dead load, and comes back. What resists is
+    the block's stiffness times the square of a small slope, less than ties hold: the block bears the load all the same, to
+    what ties may bear of contact forces that are 1/sin times as large, 1e-4, and nothing is pressed without it."""
+    slope, top, middle, side = np.tan(np.deg2rad(degrees)), 10, 12, 20
+    half = grid(
+        [np.linspace(0.0, 4.0, 4), np.linspace(0.0, 30.0, 18)],
+        {(0, -1): OUTER, (0, 0): middle, (1, -1): top},
+        order=1,
+        place=lambda x: x + np.outer(slope * x[:, 0] * x[:, 1] / 4.0, [1.0, 0.0]),
+    )
+    block = grid(
+        [np.linspace(4.0, 40.0, 14), np.linspace(-5.0, 20.0, 12)],
+        {(0, 0): INNER, (0, -1): side},
+        order=1,
+        place=lambda x: x + np.outer(slope * (40.0 - x[:, 0]) * x[:, 1] / 36.0, [1.0, 0.0]),
+    )
+    domain, _, facets = build_grids([half, block])
+    V, u = space(domain, 1)
+    load, ds = fem.Constant(domain, 0.0), ufl.Measure("ds", domain, subdomain_data=facets)
+    support = fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, facets.find(side)), V)
+    down = ufl.as_vector((0.0, -1.0)) * load / (4.0 + 30.0 * slope)
+    steel = materials.neo_hookean(7e4, 0.3)
+    body = Body(u, steel, external=(down, ds(top)), bcs=[hold(V, facets, middle, 0), support])
+    problem = ContactProblem(body, contacts=[Contact(Surface(domain, facets, INNER), Surface(domain, facets, OUTER))])
+    stages = [quasistatic.Stage(load, to=to, increments=4) for to in (1000.0, 0.0)]
+    for step in quasistatic.march(problem, stages):
+        assert step.rejected == 0
+        assert reaction(problem, support).force[1] == pytest.approx(float(load.value), abs=0.1)
+    assert problem.pairs[0].nodal_forces() < 1e-3
