@@ -623,7 +623,7 @@ class ContactPair(PairResults):
 
     def unfelt(self) -> list[Finding]:
         """In statics, what contact has not felt, or hardly: surfaces that a step has carried through each other, overlaps
-        between the integration points, and in contact (collective)."""
+        between the integration points, and in contact, patches and ripples (collective)."""
         if isinstance(self.kinematics, StepLevel):
             return []
         if self._unfelt is None:
@@ -632,8 +632,8 @@ class ContactPair(PairResults):
             self._unfelt = Unfelt(c.contactor, self.facets, self.target, surface, self._bodies, self.name)
         k, closed = self.kinematics, self.state.status != OPEN
         found = self._unfelt.look(self.integration, k.contactor(), k.at, closed, self._converged)
-        hardly = self.overlap_in_contact()
-        return found if hardly is None else [*found, hardly]
+        hardly = self.overlap_in_contact(), self.patches(), self.ripples()
+        return [*found, *(finding for finding in hardly if finding is not None)]
 
     def is_pressed(self) -> bool:
         """Whether a closed point of this rank has a multiplier: it is not of bodies that only touch."""

@@ -455,7 +455,7 @@ class ContactProblem:
         looks = [monitor.look() for monitor in self.monitors]
         for pair in self.pairs:
             looks += [pair.coarse_integration(), pair.fine_multiplier(), pair.prescribed_overlap(), *pair.unfelt()]
-            looks += [*pair.far_augmentation(), pair.turned_force(), pair.patches()]
+            looks += [*pair.far_augmentation(), pair.turned_force()]
         return [finding for finding in looks if finding is not None] + self._let_go() + self._tied()
 
     def _tied(self) -> list[Finding]:

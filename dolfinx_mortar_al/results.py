@@ -40,6 +40,11 @@ DEEP = (
     "contactor's facets, which do not resolve it; refine the contactor there"
 )
 SWAP = ", or swap contactor and target"  # where both are surfaces of their own and the target is the finer one
+RIPPLES = (
+    "the surfaces ripple across each other in contact, between the multipliers' nodes, as they may where pressures come near "
+    'the bodies\' moduli; take integration="segments" or finer meshes'
+)
+RIPPLED = 0.02  # of the longer facet: pressures were off by 3 % from there on
 OVERLAPS = 0.05  # of the longer facet: closed points that lie deeper are hardly held apart,
 BY_OVERLAP = (
     0.1  # if so much of the contact force is ε g: in resolved contact multipliers bear all but a few hundredths
@@ -56,6 +61,7 @@ PATCHES = (
     "both surfaces"
 )
 PATCHY = 0.1  # of the contact: next to its end facets are open in part
+MANY = 8  # facets in each direction: of Hertz' contacts that large the sagitta would take a fifth of the pressure to close
 HOLES = 2  # facets from any hole to its edge: nodes of meshes that are to match nearly meet every few facets
 SHARE = 0.01  # of a target facet: overlaps below it are those of facets that do not match on curved surfaces
 AT_END = 0.1  # weight of the other nodes where a point counts as at the target's end
@@ -255,27 +261,47 @@ class PairResults:
         return Finding(f"{self.name}: share of the force that is off the target's normal", share, (), BY_NORMALS, False)
 
     def patches(self) -> Finding | None:
-        """What is open amid the contact, as a share of it, where straight facets of curved surfaces leave larger gaps than
-        the pressure closes (collective). A contact that ends where the surfaces part has open points in its last facets
-        alone."""
+        """What is open amid a contact of many facets, as a share of it, where straight facets of curved surfaces leave larger
+        gaps than the pressure closes (collective). A contact that ends where the surfaces part has open points in its last
+        facets alone, or is a first touch of few."""
         contactor, facet = self._contactor, self._own[self.integration.facet]
         if self.target.is_contactor:
             return None
-        short = contactor.sagittas[facet]
-        if isinstance(self.target, DeformableTarget):
-            short = np.maximum(short, self.target.surface.sagittas[self.at.point.facet])
         closed = self.state.status != OPEN
         touched = np.zeros(len(contactor.facets))
         touched[facet[closed]] = 1.0
         self.comm.Allreduce(MPI.IN_PLACE, touched, MPI.MAX)
-        within = contactor.amid(touched > 0, HOLES)[facet]
-        j = np.where(within, self.j, 0.0)
-        whole, open_, needed, borne = sum_over(
-            self.comm, np.array([j.sum(), j @ ~closed, j @ (short * self.epsilon.normal), j @ self.state.p])
-        )
-        if open_ <= PATCHY * whole or not needed > borne > 0.0:
+        amid = contactor.amid(touched > 0, HOLES)
+        j = np.where(amid[facet], self.j, 0.0)
+        needed = j @ (self._sagittas() * self.epsilon.normal)
+        whole, open_, needed, borne = sum_over(self.comm, np.array([j.sum(), j @ ~closed, needed, j @ self.state.p]))
+        few = np.sum(amid) < MANY ** (self.gdim - 1)
+        if few or open_ <= PATCHY * whole or not needed > borne > 0.0:
             return None
         return Finding(f"{self.name}: open share amid the contact", float(open_ / whole), (), PATCHES, False)
+
+    def ripples(self) -> Finding | None:
+        """Mean size of the gaps on facets that are closed altogether, as a share of the longer facet, beside those that
+        straight facets of curved surfaces leave (collective)."""
+        facet, closed = self.integration.facet, self.state.status != OPEN
+        whole = np.ones(self.integration.facets.size, dtype=bool)
+        whole[facet[~closed]] = False
+        within = whole[facet]
+        own = (self.integration.facets.areas() ** (1.0 / self.integration.facets.shape.dim))[facet]
+        longer = own if self.target.is_rigid else np.maximum(own, self.target.extents[self.at.point.facet])
+        j = np.where(within, self.j, 0.0)
+        off = j @ np.where(within, np.maximum(np.abs(self.at.g) - self._sagittas(), 0.0) / longer, 0.0)
+        area, off = sum_over(self.comm, np.array([j.sum(), off]))
+        if off <= RIPPLED * area:
+            return None
+        return Finding(f"{self.name}: mean gap in contact (facets)", float(off / area), (), RIPPLES, False)
+
+    def _sagittas(self) -> Array:
+        """(n,) how far the straight facets at the points, or those that they face, fall short of curved surfaces (m)."""
+        short = self._contactor.sagittas[self._own[self.integration.facet]]
+        if not isinstance(self.target, DeformableTarget):
+            return short
+        return np.maximum(short, self.target.surface.sagittas[self.at.point.facet])
 
     def _last_points(self) -> NDArray[np.bool_]:
         """(n,) the points next to an end of the contactor."""
