@@ -128,7 +128,7 @@ def _bulk(u: fem.Function, coloured: bool) -> _Part:
 def _contactors(pairs: Sequence[ContactPair]) -> list[_Part]:
     """This rank's part of the contactors with their pressures, of a surface that several pairs have in common with the sum
     (collective)."""
-    by_surface: dict[tuple[int, int, int], list[ContactPair]] = {}
+    by_surface: dict[tuple[int, int, Any], list[ContactPair]] = {}
     for pair in pairs:
         surface = pair.contact.contactor
         by_surface.setdefault((id(surface.mesh), id(surface.tags), surface.tag), []).append(pair)

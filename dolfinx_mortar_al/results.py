@@ -61,7 +61,9 @@ PATCHES = (
     "both surfaces"
 )
 PATCHY = 0.1  # of the contact: next to its end facets are open in part
-MANY = 8  # facets in each direction: of Hertz' contacts that large the sagitta would take a fifth of the pressure to close
+MANY = (
+    8  # facets in each direction: of Hertz' contacts that large the sagitta would take a fifth of the pressure to close
+)
 HOLES = 2  # facets from any hole to its edge: nodes of meshes that are to match nearly meet every few facets
 SHARE = 0.01  # of a target facet: overlaps below it are those of facets that do not match on curved surfaces
 AT_END = 0.1  # weight of the other nodes where a point counts as at the target's end

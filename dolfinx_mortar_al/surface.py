@@ -40,15 +40,27 @@ class Surface:
     Args:
         mesh: of the body or membrane.
         tags: mesh tags of the facets' dimension, or of a membrane's cells.
-        tag: the value that marks the surface.
+        tag: the value that marks the surface, or several.
         side: for a membrane, the side that touches: a vector (numbers, or UFL in reference coordinates) that points to
             it everywhere. A body's facets have their outward side and take none.
     """
 
     mesh: mesh.Mesh
     tags: Any
-    tag: int
+    tag: int | Sequence[int]
     side: Any = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.tag, Sequence | np.ndarray) and not isinstance(self.tag, str):
+            object.__setattr__(self, "tag", tuple(self.tag))
+
+    @property
+    def _values(self) -> list[int]:
+        """The values that mark it."""
+        values = self.tag if isinstance(self.tag, tuple) else (self.tag,)
+        if not values:
+            raise ValueError("tag = (): name a value that marks the surface, or several")
+        return [whole("tag", value, least=-(2**31), most=2**31 - 1) for value in values]
 
     @property
     def is_membrane(self) -> bool:
@@ -66,7 +78,7 @@ class Surface:
             raise ValueError(
                 f"Surface: takes a mesh, MeshTags and a tag, not {type(self.mesh).__name__} and {type(self.tags).__name__}"
             )
-        whole("tag", self.tag, least=-(2**31), most=2**31 - 1)
+        values = self._values
         dim, kind = self.mesh.geometry.dim - 1, "cells" if self.is_membrane else "facets"
         if self.tags.dim != dim:
             raise ValueError(
@@ -84,12 +96,16 @@ class Surface:
                     else "facets have their outward side"
                 )
             )
-        facets = self.tags.find(int(self.tag))
-        facets = facets[facets < self.mesh.topology.index_map(dim).size_local]
         comm = self.mesh.comm
-        if sum_over(comm, len(facets)) == 0:
+        marked = [self.tags.find(value) for value in values]
+        facets = np.unique(np.concatenate(marked))
+        facets = facets[facets < self.mesh.topology.index_map(dim).size_local]
+        empty = sum_over(comm, np.array([len(found) for found in marked])) == 0
+        if empty.any():
             known = sorted(set().union(*comm.allgather(set(self.tags.values.tolist()))))
-            raise ValueError(f"tag {self.tag} marks no {kind[:-1]}; the tags of this mesh are {known}")
+            raise ValueError(
+                f"tag {values[int(np.argmax(empty))]} marks no {kind[:-1]}; the tags of this mesh are {known}"
+            )
         if not self.is_membrane:
             self.mesh.topology.create_connectivity(dim, dim + 1)
             # a facet with one cell on this rank may have another on the next
@@ -350,9 +366,9 @@ class GatheredFacets:
         at_end = self.boundary_sides.any(axis=1)
         grown = marked
         for _ in range(most):
-            grown = grown[self.neighbours].any(axis=1)
+            grown = np.asarray(grown[self.neighbours].any(axis=1))
         for _ in range(most):
-            grown = grown[self.neighbours].all(axis=1) & ~at_end
+            grown = np.asarray(grown[self.neighbours].all(axis=1)) & ~at_end
         grown = grown | marked
         return np.asarray(grown[self.neighbours].all(axis=1))
 

@@ -57,6 +57,19 @@ def test_a_missing_tag_names_the_tags_there_are(domain):
         problem_on(domain, pair(domain, a=99))
 
 
+def test_a_surface_of_several_tags(domain):
+    """It is the facets of all of them, and none may be missing."""
+    both = Surface(domain[0], domain[2], [UPPER_BOTTOM, LOWER_TOP]).owned_facets()
+    each = [Surface(domain[0], domain[2], tag).owned_facets() for tag in (UPPER_BOTTOM, LOWER_TOP)]
+    assert np.array_equal(both, np.sort(np.concatenate(each)))
+    with pytest.raises(ValueError, match="tag 99 marks no facet"):
+        Surface(domain[0], domain[2], (UPPER_BOTTOM, 99)).owned_facets()
+    with pytest.raises(ValueError, match="name a value"):
+        Surface(domain[0], domain[2], ()).owned_facets()
+    with pytest.raises(ValueError, match="facets in common"):
+        problem_on(domain, pair(domain, a=(UPPER_BOTTOM, LOWER_TOP)))
+
+
 def test_tags_of_cells_are_not_a_surface(domain):
     with pytest.raises(ValueError, match="tags of dimension 2"):
         Surface(domain[0], domain[1], 1).owned_facets()

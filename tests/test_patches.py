@@ -44,12 +44,13 @@ def said(problem: ContactProblem) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("order", "facets", "patchy"), [(1, (20, 16), True), (1, (80, 60), True), (1, (20, 20), False), (2, (20, 16), False)]
+    ("order", "facets", "patchy"),
+    [(1, (20, 16), True), (1, (80, 60), True), (1, (20, 20), False), (2, (20, 16), False)],
 )
 def test_gaps_between_straight_facets_are_said_where_they_matter(order, facets, patchy):
     """Straight facets of .1 m leave .8 and 1.2 mm of gaps beside 1 mm of overlap: contact in patches, some of which press
-    more than twice as much as Lamé's. Where nodes meet nodes, and with curved facets, pressures are right to 1 %: an overlap of
-    a thousandth in large deformation, and the mesh's error."""
+    more than twice as much as Lamé's. Where nodes meet nodes, and with curved facets, pressures are right to 1 %: an overlap
+    of a thousandth in large deformation, and the mesh's error."""
     problem = press_fit(order, facets)
     pressure = problem.pairs[0].largest_pressure() / lame()
     assert said(problem) == patchy
