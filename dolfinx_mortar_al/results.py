@@ -283,8 +283,8 @@ class PairResults:
         return Finding(f"{self.name}: open share amid the contact", float(open_ / whole), (), PATCHES, False)
 
     def ripples(self) -> Finding | None:
-        """Mean size of the gaps on facets that are closed altogether, as a share of the longer facet, beside those that
-        straight facets of curved surfaces leave (collective)."""
+        """Mean size of the gaps on facets that are closed altogether, if they are many, as a share of the longer facet, beside
+        those that straight facets of curved surfaces leave (collective)."""
         facet, closed = self.integration.facet, self.state.status != OPEN
         whole = np.ones(self.integration.facets.size, dtype=bool)
         whole[facet[~closed]] = False
@@ -293,8 +293,8 @@ class PairResults:
         longer = own if self.target.is_rigid else np.maximum(own, self.target.extents[self.at.point.facet])
         j = np.where(within, self.j, 0.0)
         off = j @ np.where(within, np.maximum(np.abs(self.at.g) - self._sagittas(), 0.0) / longer, 0.0)
-        area, off = sum_over(self.comm, np.array([j.sum(), off]))
-        if off <= RIPPLED * area:
+        count, area, off = sum_over(self.comm, np.array([whole.sum(), j.sum(), off]))
+        if count < MANY ** (self.gdim - 1) or off <= RIPPLED * area:
             return None
         return Finding(f"{self.name}: mean gap in contact (facets)", float(off / area), (), RIPPLES, False)
 
