@@ -283,8 +283,8 @@ class PairResults:
         return Finding(f"{self.name}: open share amid the contact", float(open_ / whole), (), PATCHES, False)
 
     def ripples(self) -> Finding | None:
-        """Mean size of the gaps on facets that are closed altogether, if they are many, as a share of the longer facet, beside
-        those that straight facets of curved surfaces leave (collective)."""
+        """Mean size of the gaps on facets that are closed altogether, if they are many, as a share of the longer facet,
+        beside those that straight facets of curved surfaces leave (collective)."""
         facet, closed = self.integration.facet, self.state.status != OPEN
         whole = np.ones(self.integration.facets.size, dtype=bool)
         whole[facet[~closed]] = False
