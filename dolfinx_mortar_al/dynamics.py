@@ -178,6 +178,8 @@ class _TimeControl(Controller[Step]):
         self._time, self._number = way.start, 1
 
     def begin(self) -> None:
+        for motion in self.motions:
+            motion.take_up()
         self.levels = [pair.use_steps() for pair in self.problem.pairs]
         self._projection = VelocityProjection(self.problem)
         self.problem.evaluate()

@@ -166,6 +166,11 @@ class Motion:
         """Work of the dead loads in the present step (J), collective."""
         return 0.0 if self._external_work is None else self.integral(self._external_work)
 
+    def take_up(self) -> None:
+        """𝐮_n ← 𝐮: a march begins where the body has been put (collective)."""
+        self.u.x.scatter_forward()
+        self.old.x.array[:] = self.u.x.array
+
     def fly(self, share: float) -> None:
         """𝐮 ← 𝐮_n + share × Δt 𝐯_n, where a body is without forces after a share of the step: in the middle the step's points
         and directions are chosen first."""

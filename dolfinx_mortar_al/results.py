@@ -142,7 +142,8 @@ class PairResults:
     def stored_energy(self) -> float:
         """∫ (p² − λ_N²)/(2ε_N) dS₀ (J), collective: what the augmentation holds where facets are partly closed. It is the
         potential of the normal contact forces, convex in the gaps and zero where nothing touches."""
-        density = (self.state.p**2 - self._normal_multiplier() ** 2) / (2 * self.epsilon.normal)
+        p = np.maximum(self.state.p, 0.0)  # points that count as closed may be apart before a march
+        density = (p**2 - self._normal_multiplier() ** 2) / (2 * self.epsilon.normal)
         return sum_over(self.comm, float(self.j @ density))
 
     def _normal_multiplier(self) -> Array:

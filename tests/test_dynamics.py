@@ -113,6 +113,19 @@ def test_flying_by_and_grazing_cost_nothing(gap, speed):
     assert abs(step.ledger.impact_loss) + abs(step.ledger.friction_dissipation) < 1e-10 * energy
 
 
+def test_a_march_begins_where_the_body_has_been_put():
+    """A disc on the plane is lifted once its motion and problem are made, and once more after a march: it falls on from there
+    without a force, and the ledger books nothing."""
+    problem, motion = disc(velocity=lambda x: np.stack([0 * x[0], -1 + 0 * x[0]]))
+    for end in (0.02, 0.04):
+        motion.u.x.array[1::2] += 0.05
+        start = motion.u.x.array[1::2].copy()
+        for step in dynamics.march(problem, to=end, start=end - 0.02):
+            assert not np.any(step.forces)
+        assert np.allclose(motion.u.x.array[1::2], start - 0.02, atol=1e-12)
+        assert abs(step.ledger.impact_loss) + abs(step.ledger.contact) < 1e-9 * step.ledger.kinetic
+
+
 def test_at_rest_in_contact():
     """A disc that starts at rest on the plane under its own weight: it sinks in, nothing is lost but to the impact."""
     mesh, _, tags = Disc(size=0.04, order=1).create()
