@@ -26,9 +26,9 @@ from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, Coulomb, Frictionle
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
+from dolfinx_mortar_al.pair_findings import PairFindings
 from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.reductions import any_over, max_over, min_over, sum_over
-from dolfinx_mortar_al.results import PairResults
 from dolfinx_mortar_al.segments import Segments, segments_of
 from dolfinx_mortar_al.self_target import SelfTarget
 from dolfinx_mortar_al.step_level import StepLevel
@@ -156,7 +156,7 @@ def _coefficient(μ: Any) -> float:
     return number("friction", μ, least=0.0, must="Coulomb's coefficient must be")
 
 
-class ContactPair(PairResults):
+class ContactPair(PairFindings):
     """A :class:`Contact` on a displacement space: its state at the last evaluation, slip history and outputs."""
 
     def __init__(self, contact: Contact, bodies: Bodies, stopwatch: Stopwatch, name: str = "contact") -> None:

@@ -84,7 +84,8 @@ def march(
     until: Callable[[], bool] | None = None,
     progress: bool = False,
 ) -> Iterator[Step]:
-    """Move bodies from `start` to `to`, with steps of the motions' Δt; yields each converged step.
+    """Move bodies from `start` to `to`, with steps of the motions' Δt; yields each converged step. They begin with the
+    displacements and velocities that their functions hold.
 
     A step that fails is undone, velocities included, and tried again with half of Δt, which grows back after easy steps;
     the times start + k Δt are always met. Besides a failure of Newton these are failures: contact that gives energy, and

@@ -51,8 +51,8 @@ class Surface:
     side: Any = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.tag, Sequence | np.ndarray) and not isinstance(self.tag, str):
-            object.__setattr__(self, "tag", tuple(self.tag))
+        if np.ndim(self.tag) == 1:
+            object.__setattr__(self, "tag", tuple(np.ravel(self.tag).tolist()))
 
     @property
     def _values(self) -> list[int]:

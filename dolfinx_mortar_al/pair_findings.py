@@ -1,0 +1,203 @@
+"""What a pair finds amiss in a converged state: integration, multipliers and facets that do not resolve the contact."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.law import OPEN
+from dolfinx_mortar_al.monitors import Finding
+from dolfinx_mortar_al.projection import dot
+from dolfinx_mortar_al.reductions import sum_over
+from dolfinx_mortar_al.results import PairResults
+from dolfinx_mortar_al.surface import GatheredFacets, surface_normal
+from dolfinx_mortar_al.targets import DeformableTarget
+
+__all__ = ["PairFindings"]
+
+Array = NDArray[np.float64]
+
+FINER = (
+    "the target is finer than the contactor's integration points, which miss some of its facets: the pressure is "
+    "inaccurate; refine the contactor or raise quadrature_degree"
+)
+FINE = (
+    "the contactor is finer than the target and stiffer: the target's facets cannot follow what the multiplier asks of them, "
+    "and pressures oscillate (resultants do not); refine the target, or swap contactor and target"
+)
+STIFFER = 4.0  # of stiffnesses per area: pressures on finer contactors were off by more than a tenth from there on
+ALIKE = 0.99  # spacings that are the same but for the shape of facets
+OVERLAP = "both surfaces are prescribed there and overlap: no contact force can part them; change the prescribed values"
+DEEP = (
+    "the surfaces overlap where they are in contact, and much of the force comes from that: the contact is on parts of the "
+    "contactor's facets, which do not resolve it; refine the contactor there"
+)
+SWAP = ", or swap contactor and target"  # where both are surfaces of their own and the target is the finer one
+RIPPLES = (
+    "the surfaces ripple across each other in contact, between the multipliers' nodes, as they may where pressures come near "
+    'the bodies\' moduli; take integration="segments" or finer meshes'
+)
+RIPPLED = 0.02  # of the longer facet: pressures were off by 3 % from there on
+OVERLAPS = 0.05  # of the longer facet: closed points that lie deeper are hardly held apart,
+BY_OVERLAP = (
+    0.1  # if so much of the contact force is ε g: in resolved contact multipliers bear all but a few hundredths
+)
+BY_NORMALS = (
+    "a corner or a rounded edge of the contactor with few facets rests on a smoother target, and pressure acts along the "
+    "contactor's normals: the force's direction is off by that share; refine the contactor there, swap contactor and target, "
+    'or take projection="closest"'
+)
+TURNED = 0.03  # of the force
+PATCHES = (
+    "curved surfaces are in contact in patches, as the gaps between their straight facets are larger than what the pressure "
+    "closes, and pressures are too large; take meshes of order 2 (gmsh -order 2) with displacements of order 2, or refine "
+    "both surfaces"
+)
+PATCHY = 0.1  # of the contact: next to its end facets are open in part
+MANY = 8  # facets in each direction: in Hertz' contacts of so many a fifth of the pressure would close the sagitta
+HOLES = 2  # facets from any hole to its edge: nodes of meshes that are to match nearly meet every few facets
+SHARE = 0.01  # of a target facet: overlaps below it are those of facets that do not match on curved surfaces
+
+
+class PairFindings(PairResults):
+    """Findings of a contact pair; None where there is nothing to say (all collective)."""
+
+    #: of the contactor's stiffness per area to the target's; 0 where one of them is a membrane
+    stiffness_ratio: float
+    _prescribed_facets: NDArray[np.bool_]
+    #: the whole contactor, and (nf,) which of its facets this rank has
+    _contactor: GatheredFacets
+    _own: NDArray[np.int64]
+
+    def coarse_integration(self) -> Finding | None:
+        """Where closed Gauss points lie farther apart than the target facets they face are long (collective)."""
+        if self.segments is not None:
+            return None
+        closed = np.flatnonzero(self.state.status != OPEN)
+        ratio = self.target.extents[self.at.point.facet[closed]] / self.integration.spacing[closed]
+        k = int(np.argmin(ratio)) if len(ratio) else -1
+        mine = (float(ratio[k]), tuple(self.points()[closed[k]].tolist())) if len(ratio) else (np.inf, ())
+        value, X = min(self.comm.allgather(mine))
+        if value >= 1.0:
+            return None
+        says = FINER if self.target.is_contactor else FINER + SWAP
+        return Finding(f"{self.name}: target facets per point's distance", value, X, says, False)
+
+    def fine_multiplier(self) -> Finding | None:
+        """Whether the multiplier of a contactor that is stiffer than the target has nodes closer together than those of the
+        target's facets that it faces, in the mean over what is closed (collective)."""
+        if self.target.is_rigid or self.target.is_contactor or self.stiffness_ratio <= STIFFER:
+            return None
+        closed = np.flatnonzero(self.state.status != OPEN)
+        j, (own, theirs) = self.j[closed], (extents[closed] for extents in self._extents())
+        own, theirs = self.multiplier.shape.spacing * own, self.target.spacing * theirs
+        mine, others = sum_over(self.comm, np.array([j @ own, j @ theirs]))
+        ratio = float(mine / others) if others > 0 else 1.0
+        return (
+            Finding(f"{self.name}: multiplier's spacing over the target's", ratio, (), FINE, False)
+            if ratio < ALIKE
+            else None
+        )
+
+    def prescribed_overlap(self) -> Finding | None:
+        """Where both surfaces are prescribed and overlap, so that no contact force can part them (collective)."""
+        g = np.where(self._prescribed_facets[self.integration.facet] & self.at.facing, self.at.g, -np.inf)
+        k = int(np.argmax(g)) if len(g) else -1
+        mine = (float(g[k]), tuple(self.points()[k].tolist())) if len(g) else (-np.inf, ())
+        value, X = max(self.comm.allgather(mine))
+        return (
+            Finding(f"{self.name}: overlap (m)", value, X, OVERLAP, True) if value > SHARE * self.target.size else None
+        )
+
+    def overlap_in_contact(self) -> Finding | None:
+        """Where closed points lie deep in the target while ε g, in place of multipliers, is a good part of the contact force
+        (collective)."""
+        closed = np.flatnonzero(self.state.status != OPEN)
+        g, j = self.at.g[closed], self.j[closed]
+        own, theirs = (extents[closed] for extents in self._extents())
+        depth = g / np.maximum(own, theirs)
+        k = int(np.argmax(depth)) if len(depth) else -1
+        is_finer = (own > theirs) & (not self.target.is_rigid) & (not self.target.is_contactor)
+        here = (tuple(self.points()[closed[k]].tolist()), bool(is_finer[k])) if len(depth) else ((), False)
+        value, X, may_swap = max(self.comm.allgather((float(depth.max(initial=-np.inf)), *here)))
+        by_overlap = j @ np.abs(g) * self.epsilon.normal
+        borne, total = sum_over(self.comm, np.array([by_overlap, j @ self.state.p[closed]]))
+        if value < OVERLAPS or borne < BY_OVERLAP * total:
+            return None
+        says = DEEP + SWAP if may_swap else DEEP
+        return Finding(f"{self.name}: overlap in contact (facets)", value, X, says, False)
+
+    def turned_force(self) -> Finding | None:
+        """By how much contact's forces are off the target's normal in the mean, as a share of them, where the contactor turns
+        more than the target does over a facet, as at a rounded corner on a flat surface (collective). There ν = −𝐧 is that of
+        coarse facets; where the target turns more, as its corner on a flat contactor, 𝐧 is the better one."""
+        if not isinstance(self.target, DeformableTarget) or not self.target.uses_rays or self.target.is_contactor:
+            return None
+        closed = np.flatnonzero(self.state.status != OPEN)
+        at, facet = self.at.take(closed), self.integration.facet[closed]
+        normal = surface_normal(at.a)
+        normal /= (np.sqrt(dot(normal, normal)) * np.where(dot(normal, at.ν) < 0, -1.0, 1.0))[:, None]
+        pressed = self.j[closed] * self.state.p[closed]
+        turns = self._contactor.turns[self._own[facet]] > self.target.surface.turns[at.point.facet]
+        mine = np.append((pressed * turns) @ (at.ν - normal), pressed.sum())
+        force = sum_over(self.comm, mine)
+        share = float(np.linalg.norm(force[:-1]) / force[-1]) if force[-1] > 0 else 0.0
+        if share < TURNED:
+            return None
+        return Finding(f"{self.name}: share of the force that is off the target's normal", share, (), BY_NORMALS, False)
+
+    def patches(self) -> Finding | None:
+        """What is open amid a contact of many facets, as a share of it, where straight facets of curved surfaces leave larger
+        gaps than the pressure closes (collective). A contact that ends where the surfaces part has open points in its last
+        facets alone, or is a first touch of few."""
+        if self.target.is_contactor or not self._is_curved:
+            return None
+        contactor, facet = self._contactor, self._own[self.integration.facet]
+        closed = self.state.status != OPEN
+        touched = np.zeros(len(contactor.facets))
+        touched[facet[closed]] = 1.0
+        self.comm.Allreduce(MPI.IN_PLACE, touched, MPI.MAX)
+        amid = contactor.amid(touched > 0, HOLES)
+        j = np.where(amid[facet], self.j, 0.0)
+        needed = j @ (self._sagittas() * self.epsilon.normal)
+        whole, open_, needed, borne = sum_over(self.comm, np.array([j.sum(), j @ ~closed, needed, j @ self.state.p]))
+        few = np.sum(amid) < MANY ** (self.gdim - 1)
+        if few or open_ <= PATCHY * whole or not needed > borne > 0.0:
+            return None
+        return Finding(f"{self.name}: open share amid the contact", float(open_ / whole), (), PATCHES, False)
+
+    def ripples(self) -> Finding | None:
+        """Mean size of the gaps on facets that are closed altogether, if they are many, as a share of the longer facet,
+        beside those that straight facets of curved surfaces leave (collective)."""
+        facet, closed = self.integration.facet, self.state.status != OPEN
+        whole = np.ones(self.integration.facets.size, dtype=bool)
+        whole[facet[~closed]] = False
+        within = whole[facet]
+        j, longer = np.where(within, self.j, 0.0), np.maximum(*self._extents())
+        off = j @ np.where(within, np.maximum(np.abs(self.at.g) - self._sagittas(), 0.0) / longer, 0.0)
+        count, area, off = sum_over(self.comm, np.array([whole.sum(), j.sum(), off]))
+        if count < MANY ** (self.gdim - 1) or off <= RIPPLED * area:
+            return None
+        return Finding(f"{self.name}: mean gap in contact (facets)", float(off / area), (), RIPPLES, False)
+
+    def _extents(self) -> tuple[Array, Array]:
+        """(n,) and (n,) extents of the points' facets and of those that they face (m); 0 of a rigid target."""
+        facets, facet = self.integration.facets, self.integration.facet
+        own = (facets.areas() ** (1.0 / facets.shape.dim))[facet]
+        return own, np.zeros_like(own) if self.target.is_rigid else self.target.extents[self.at.point.facet]
+
+    @cached_property
+    def _is_curved(self) -> bool:
+        """Whether straight facets stand for a curved surface on either side; the same on all ranks."""
+        theirs = self.target.surface.sagittas if isinstance(self.target, DeformableTarget) else np.zeros(0)
+        return bool(self._contactor.sagittas.any() or theirs.any())
+
+    def _sagittas(self) -> Array:
+        """(n,) how far the straight facets at the points, or those that they face, fall short of curved surfaces (m)."""
+        short = self._contactor.sagittas[self._own[self.integration.facet]]
+        if not isinstance(self.target, DeformableTarget):
+            return short
+        return np.maximum(short, self.target.surface.sagittas[self.at.point.facet])
