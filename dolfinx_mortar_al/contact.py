@@ -48,6 +48,8 @@ Decisions = tuple[IntegrationPoints, tuple[Bool, Index, bool]]
 
 SOFTER = 0.125  # ε over what the bulk yields to pressure at the surface (docs/newton.md)
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
+RIPPLING = 2 * np.pi  # slope of a wave as long as a facet, over its amplitude in facets
+OWN = 0.5  # of the bulk's stiffness holds such waves, whatever contact does (docs/newton.md)
 FIRMEST = 12.0  # the same for ε_N in time steps: by p/ε_N, less than 1 % of a facet, do partly closed facets overlap
 NEAR = 2.0  # of the target's facets: gaps that may close in a step
 FAR = 100.0  # times more or less than by default: where Newton has been seen to fail for ε
@@ -197,6 +199,7 @@ class ContactPair(PairFindings):
             corners = SharpCorners.of(self.facets, contactor, self.multiplier.own, self.comm)
         self.blocks = Blocks(self.integration, self.contactor_blocks, fixed, self.target, self.multiplier, corners)
         self.active = ActiveSet(self.blocks, self.comm)
+        self.is_pressed_hard = False
         self.target_end = self._make_end()
         #: whether segments stay where they are, whatever moves
         self.holds_points = False
@@ -311,7 +314,8 @@ class ContactPair(PairFindings):
 
     def set_stiffness(self, diagonals: Sequence[fem.Function]) -> None:
         """Fix ε by what the bulk has at the two surfaces, from diagonals (N/m) of the bodies' matrices."""
-        contactor, target = self._stiffnesses(diagonals)
+        #: the contactor's and the target's (Pa/m)
+        self.stiffnesses = contactor, target = self._stiffnesses(diagonals)
         c = self.contact
         sides = [c.contactor, c.target] if isinstance(c.target, Surface) else [c.contactor]
         self.stiffness_ratio = 0.0 if any(side.is_membrane for side in sides) else contactor / target
@@ -342,17 +346,37 @@ class ContactPair(PairFindings):
     def set_law(self, stiffness: float, share: float = SOFTER, normal: float = SOFTER) -> None:
         """Fix ε_N and ε_T: the user's, or shares, that for ε_N called `normal`, of the bulk's `stiffness` at the two surfaces
         (Pa/m)."""
+        self.stiffness, self.unit = stiffness, share * stiffness
+        self._use_epsilon(normal * stiffness, self.unit)
+
+    def _use_epsilon(self, normal: float, tangential: float) -> None:
+        """Fix the law by these ε_N and ε_T (Pa/m), or the user's."""
         c = self.contact
-        default = share * stiffness
-        εN = normal * stiffness if c.epsilon_normal is None else c.epsilon_normal
-        εT = default if c.epsilon_tangential is None else c.epsilon_tangential
-        self.stiffness, self.unit = stiffness, default
+        εN = normal if c.epsilon_normal is None else c.epsilon_normal
+        εT = tangential if c.epsilon_tangential is None else c.epsilon_tangential
         self.epsilon = Augmentation(εN, εT)
         # the residual of an open point, ν λ_N/ε_N − λ_T/ε_T, turns with ν unless ε_N = ε_T
         self._same_ε = εN == εT or not self.friction
         self.law: Frictionless | Coulomb = Frictionless(self.epsilon)
         if self.friction:
             self.law = Coulomb(self.epsilon, self.friction_coefficient, noise=εT * self.kinematics.touch)
+
+    def _hold_flat(self) -> None:
+        """Let ε grow with the pressure p where that comes near a body's moduli: on the slope of a ripple as long as a facet,
+        which multipliers of a lower order than the displacement do not see, p acts along the surface, and only the body and ε
+        resist it (collective; docs/newton.md). Segments see it, obstacles have no ripples, and membranes have tension."""
+        sees = self.contact.multiplier_order == self.facets.shape.order or self.segments is not None
+        if sees or self.stiffness_ratio == 0.0 or isinstance(self.kinematics, StepLevel):
+            return
+        p = np.maximum(self._normal_multiplier(), 0.0)
+        slopes = [(self.j * p) @ (p / extents) for extents in self._extents()]
+        *slopes, force = sum_over(self.comm, np.array([*slopes, self.j @ p]))
+        ε, self.is_pressed_hard = self.unit, False
+        if force > 0:
+            excess = max(slope / force - OWN * k for slope, k in zip(slopes, self.stiffnesses, strict=True))
+            ε, self.is_pressed_hard = ε + RIPPLING * max(0.0, excess), excess > 0.0
+        if ε != self.epsilon.normal:
+            self._use_epsilon(ε, ε)
 
     def far_off(self) -> dict[str, float]:
         """The augmentation parameters that are a user's and more than FAR times more or less than the bulk suggests, over
@@ -459,6 +483,7 @@ class ContactPair(PairFindings):
         """A new solve."""
         if isinstance(self.law, Coulomb):
             self.law = replace(self.law, μ=self.friction_coefficient)
+        self._hold_flat()
         self._divide()
         self.active.begin(self._converged.closed[self.integration.facet])
         if self.target_end is not None:

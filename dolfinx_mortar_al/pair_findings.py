@@ -36,11 +36,11 @@ DEEP = (
     "contactor's facets, which do not resolve it; refine the contactor there"
 )
 SWAP = ", or swap contactor and target"  # where both are surfaces of their own and the target is the finer one
-RIPPLES = (
-    "the surfaces ripple across each other in contact, between the multipliers' nodes, as they may where pressures come near "
-    'the bodies\' moduli; take integration="segments" or finer meshes'
+WAVERS = (
+    "pressures waver by that share from point to point about those of the multiplier's nodes, as pressures near the bodies' "
+    'moduli let their surfaces ripple between these; take integration="segments" or finer meshes'
 )
-RIPPLED = 0.02  # of the longer facet: pressures were off by 3 % from there on
+WAVERING = 0.05  # of the pressure
 OVERLAPS = 0.05  # of the longer facet: closed points that lie deeper are hardly held apart,
 BY_OVERLAP = (
     0.1  # if so much of the contact force is ε g: in resolved contact multipliers bear all but a few hundredths
@@ -67,6 +67,8 @@ class PairFindings(PairResults):
 
     #: of the contactor's stiffness per area to the target's; 0 where one of them is a membrane
     stiffness_ratio: float
+    #: whether the pressure comes near a body's moduli, so that surfaces would ripple but for ε
+    is_pressed_hard: bool
     _prescribed_facets: NDArray[np.bool_]
     #: the whole contactor, and (nf,) which of its facets this rank has
     _contactor: GatheredFacets
@@ -170,24 +172,30 @@ class PairFindings(PairResults):
         return Finding(f"{self.name}: open share amid the contact", float(open_ / whole), (), PATCHES, False)
 
     def ripples(self) -> Finding | None:
-        """Mean size of the gaps on facets that are closed altogether, if they are many, as a share of the longer facet,
-        beside those that straight facets of curved surfaces leave (collective)."""
+        """Under pressures near the bodies' moduli, what ε bears in the mean on facets that are closed altogether, if they are
+        many, as a share of the pressure, beside what gaps between straight facets of curved surfaces make of it
+        (collective)."""
+        if not self.is_pressed_hard:
+            return None
         facet, closed = self.integration.facet, self.state.status != OPEN
         whole = np.ones(self.integration.facets.size, dtype=bool)
         whole[facet[~closed]] = False
-        within = whole[facet]
-        j, longer = np.where(within, self.j, 0.0), np.maximum(*self._extents())
-        off = j @ np.where(within, np.maximum(np.abs(self.at.g) - self._sagittas(), 0.0) / longer, 0.0)
-        count, area, off = sum_over(self.comm, np.array([whole.sum(), j.sum(), off]))
-        if count < MANY ** (self.gdim - 1) or off <= RIPPLED * area:
+        j = np.where(whole[facet], self.j, 0.0)
+        wavers = j @ np.maximum(np.abs(self.at.g) - self._sagittas(), 0.0) * self.epsilon.normal
+        count, force, wavers = sum_over(self.comm, np.array([whole.sum(), j @ self.state.p, wavers]))
+        if count < MANY ** (self.gdim - 1) or wavers <= WAVERING * force:
             return None
-        return Finding(f"{self.name}: mean gap in contact (facets)", float(off / area), (), RIPPLES, False)
+        return Finding(f"{self.name}: wavering share of the pressure", float(wavers / force), (), WAVERS, False)
 
     def _extents(self) -> tuple[Array, Array]:
         """(n,) and (n,) extents of the points' facets and of those that they face (m); 0 of a rigid target."""
-        facets, facet = self.integration.facets, self.integration.facet
-        own = (facets.areas() ** (1.0 / facets.shape.dim))[facet]
+        own = self._own_extents()
         return own, np.zeros_like(own) if self.target.is_rigid else self.target.extents[self.at.point.facet]
+
+    def _own_extents(self) -> Array:
+        """(n,) extents of the points' facets (m)."""
+        facets = self.integration.facets
+        return np.asarray(facets.areas() ** (1.0 / facets.shape.dim))[self.integration.facet]
 
     @cached_property
     def _is_curved(self) -> bool:

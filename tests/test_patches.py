@@ -1,13 +1,17 @@
 """Contact in patches: what straight facets of curved surfaces do to a press fit, and that it is said."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
-import ufl
-from dolfinx import fem
 
 from dolfinx_mortar_al import Body, Contact, ContactProblem, NewtonSolver, Surface, materials, quasistatic
 from dolfinx_mortar_al.verify.meshes import build, grid
 from dolfinx_mortar_al.verify.model import hold, space
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from pressed_blocks import pressed_blocks
 
 RADII, E, NU = (0.5, 1.0, 1.5), 2e11, 0.3  # m, Pa
 SIDES, FITTED, BORE = (10, 11), 3, 4
@@ -68,28 +72,28 @@ def test_gaps_that_are_pressed_away_are_not_said():
     assert np.linalg.norm(pair.force()) / lame(1e-2) == pytest.approx(np.sqrt(2.0), rel=0.1)
 
 
+@pytest.mark.parametrize("facets", [(20, 23), (40, 13), (18, 43)])
+def test_surfaces_stay_flat_under_pressures_above_the_modulus(facets):
+    """p = 3 E. P1 multipliers do not see how the nodes amid facets move; with the ε of small pressures marches of 8
+    increments reject trials and fail from .7 to 1.8 E on. λ is uniform to a hundredth, the error of Gauss points on facets
+    that do not match."""
+    problem, load = pressed_blocks(facets, friction=0.3)
+    steps = list(quasistatic.march(problem, load, to=3.0, increments=8))
+    pair = problem.pairs[0]
+    assert not sum(step.rejected for step in steps)
+    assert np.mean([step.iterations for step in steps]) <= 3.0
+    λ = pair.multiplier.field.x.array.reshape(-1, 2)[:, 1]
+    pressures = np.abs(λ[λ != 0.0])
+    assert max(pair.comm.allgather(float(np.abs(pressures / 3.0 - 1.0).max(initial=0.0)))) < 0.02
+
+
 @pytest.mark.parametrize("integration", ["gauss", "segments"])
-def test_ripples_under_pressures_near_the_modulus_are_said(integration):
-    """Two rubber blocks in a rigid box, E = 1, pressed by 1.5: uniaxial strain, flat and uniform. With Gauss points between
-    20 and 23 facets the surfaces ripple, as P1 multipliers do not see how the nodes amid facets move: pressures are off by a
-    twentieth, which is said. With segments they are uniform to 1e-6."""
-    blocks = [
-        grid([np.linspace(0, 40, 21), np.linspace(0, 20, 11)], {(1, 0): 1, (1, -1): FITTED, (0, 0): 2, (0, -1): 2}),
-        grid([np.linspace(0, 40, 24), np.linspace(20, 40, 12)], {(1, -1): 5, (1, 0): BORE, (0, 0): 2, (0, -1): 2}),
-    ]
-    domain, _, tags = build(blocks)
-    V, u = space(domain, 2)
-    load, top = fem.Constant(domain, 0.0), ufl.Measure("ds", domain, subdomain_data=tags)(5)
-    body = Body(
-        u,
-        materials.neo_hookean(1.0, 0.45),
-        external=(ufl.as_vector((0.0, -1.0)) * load, top),
-        bcs=[hold(V, tags, 1, 1), hold(V, tags, 2, 0)],
-    )
-    sides = Surface(domain, tags, FITTED), Surface(domain, tags, BORE)
-    problem = ContactProblem(body, contacts=[Contact(*sides, friction=0.3, integration=integration)])
-    *_, last = quasistatic.march(problem, load, to=1.5, increments=8)
-    rippled = any("mean gap in contact" in finding.name for finding in last.findings)
-    off = problem.pairs[0].largest_pressure() / 1.5 - 1
-    assert rippled == (integration == "gauss")
-    assert off > 0.03 if rippled else abs(off) < 1e-6
+def test_pressures_that_waver_are_said(integration):
+    """p = 3 E between 18 and 43 facets: pressures at the points are off by a tenth and more, as ε g wavers, which is said.
+    With segments they are uniform to 1e-6."""
+    problem, load = pressed_blocks((18, 43), friction=0.3, integration=integration)
+    steps = list(quasistatic.march(problem, load, to=3.0, increments=8))
+    wavers = any("wavering share" in finding.name for finding in steps[-1].findings)
+    off = problem.pairs[0].largest_pressure() / 3.0 - 1
+    assert wavers == (integration == "gauss")
+    assert off > 0.1 if wavers else abs(off) < 1e-6
