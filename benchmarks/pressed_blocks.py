@@ -1,4 +1,4 @@
-"""Two blocks in a rigid box, pressed by more than their modulus, on meshes that do not match: failures, iterations, pressures.
+"""Two blocks in a rigid box, pressed by more than their modulus, meshes that do not match: failures, iterations, pressures.
 
     ./run python3 benchmarks/pressed_blocks.py [--seed N] [--draws M] [--segments] [--space]
 
