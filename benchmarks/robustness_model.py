@@ -14,7 +14,7 @@ from robustness_meshes import create
 from robustness_scenes import CONTACT, HELD, LOADED, LOWER, UPPER, Scene, motion
 from scipy.spatial import cKDTree
 
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, materials, membrane
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, loads, materials, membrane
 from dolfinx_mortar_al.versions import geometry_nodes
 from meshes.two_membranes import EDGE
 
@@ -39,15 +39,15 @@ class Model:
         self.u, self._driven = fem.Function(V), fem.Function(V)
         self._load = fem.Constant(self.mesh, np.zeros(scene.dim))
         self.is_membrane = scene.family == "membranes"
-        F = self._membranes() if self.is_membrane else self._bodies()
-        self._bulk = fem.form(F)
+        body = self._membranes() if self.is_membrane else self._bodies()
+        self._bulk = fem.form(body.residual)
         sides = [Surface(self.mesh, *self._surface(body)) for body in (UPPER, LOWER)]
         contactor, target = reversed(sides) if scene.swap else sides
         if other_ε:
             ε = 10 * min(scene.lower.E, scene.upper.E) * (scene.lower.size[1] if self.is_membrane else 1.0)
         options = {"epsilon_normal": ε, "epsilon_tangential": ε}
         contacts = [Contact(contactor, target, friction=scene.friction, integration=integration, **options)]
-        self.problem = ContactProblem(F, self.u, bcs=self._conditions(), contacts=contacts)
+        self.problem = ContactProblem(body, bcs=self._conditions(), contacts=contacts)
         self.pair = self.problem.pairs[0]
 
     # ---------------------------------------------------------------- the problem
@@ -58,27 +58,31 @@ class Model:
             return self.cell_tags, body, [0.0, 1.0 if body == LOWER else -1.0]
         return self.facet_tags, 10 * body + CONTACT
 
-    def _membranes(self) -> Any:
+    def _membranes(self) -> Body:
         dx, u, p = ufl.Measure("dx", self.mesh, subdomain_data=self.cell_tags), self.u, self._load[1]
-        F = -loads.membrane_pressure(u, p, [0, 1], dx(LOWER)) - loads.membrane_pressure(u, p, [0, -1], dx(UPPER))
-        for tag, body in ((LOWER, self.scene.lower), (UPPER, self.scene.upper)):
-            F += membrane.neo_hookean_membrane(body.E, body.nu, body.size[1]).virtual_work(u, dx=dx(tag))
-        return F
+        sheets = [
+            (membrane.neo_hookean_membrane(body.E, body.nu, body.size[1]), dx(tag))
+            for tag, body in ((LOWER, self.scene.lower), (UPPER, self.scene.upper))
+        ]
+        push = [loads.membrane_pressure(u, p, [0, side], dx(tag)) for tag, side in ((LOWER, 1), (UPPER, -1))]
+        return Body(u, sheets, external=sum(push))
 
-    def _bodies(self) -> Any:
+    def _bodies(self) -> Body:
         scene, u = self.scene, self.u
         dx = ufl.Measure("dx", self.mesh, subdomain_data=self.cell_tags)
         ds = ufl.Measure("ds", self.mesh, subdomain_data=self.facet_tags)
-        F = 0
-        for tag, body in ((LOWER, scene.lower), (UPPER, scene.upper)):
-            F += getattr(materials, body.material)(body.E, body.nu).virtual_work(u, dx=dx(tag))
+        laws = [
+            (getattr(materials, body.material)(body.E, body.nu), dx(tag))
+            for tag, body in ((LOWER, scene.lower), (UPPER, scene.upper))
+        ]
+        load = None
         if scene.load == "weight":
-            F -= loads.dead_traction(u, self._load, dx(UPPER))
+            load = loads.dead_traction(u, self._load, dx(UPPER))
         elif scene.load == "dead":
-            F -= loads.dead_traction(u, self._load, ds(10 * UPPER + LOADED))
+            load = loads.dead_traction(u, self._load, ds(10 * UPPER + LOADED))
         elif scene.load == "follower":  # along the axis turned by −90°: down
-            F += loads.follower_force(u, self._load[1], ds(10 * UPPER + LOADED))
-        return F
+            load = -loads.follower_force(u, self._load[1], ds(10 * UPPER + LOADED))
+        return Body(u, laws, external=load)
 
     def _conditions(self) -> list[fem.DirichletBC]:
         """The lower body is clamped, the upper one driven by `_driven`, as the scene says."""

@@ -18,6 +18,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from dolfinx_mortar_al.foreseen_pressure import ForeseenPressure
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
 from dolfinx_mortar_al.moduli import yielding_share
@@ -41,13 +42,23 @@ COLLAPSED = 1e-6  # area stretch below which a membrane counts as torn down to n
 class BodyForms:
     """A mesh with its displacement u, bulk residual F(u; v) and Jacobian, and its Dirichlet conditions."""
 
-    def __init__(self, F: Any, u: fem.Function, bcs: Sequence[fem.DirichletBC], jacobian: Any) -> None:
+    def __init__(
+        self,
+        F: Any,
+        u: fem.Function,
+        bcs: Sequence[fem.DirichletBC],
+        jacobian: Any = None,
+        foreseen: ForeseenPressure | None = None,
+    ) -> None:
         self.u, self.space, self.mesh = u, u.function_space, u.function_space.mesh
         _check_space(u)
         check_cells(self.mesh)
         check_residual(F, u)
         self.bcs = list(bcs)
+        self.foreseen = foreseen if jacobian is None else None
         J = ufl.derivative(F, u) if jacobian is None else jacobian
+        if self.foreseen is not None:
+            J += self.foreseen.form
         self.F, self.J = (compiled(whole_form(form, self.mesh), F) for form in (F, J))
         self.signature = str(F.signature())
         #: the residual's Constants, and what they were when the problem was made
@@ -86,6 +97,7 @@ class BodyForms:
             local.set(0.0)
         dolfinx_petsc.assemble_vector(b, self.F)
         if self._unmet_bcs():
+            self._foresee()
             dolfinx_petsc.apply_lifting(b, [self.J], [self.bcs], [self.u.x.petsc_vec], -1.0)
         b.ghostUpdate(addv=_ADD, mode=PETSc.ScatterMode.REVERSE)
         return np.asarray(b.array_r)
@@ -119,8 +131,20 @@ class BodyForms:
         flag.x.scatter_forward()
         return flag
 
+    def begin(self) -> None:
+        """The displacement is that of a converged state, from which solves begin."""
+        if self.foreseen is not None:
+            self.foreseen.begin(self.u.x.array)
+
+    def _foresee(self) -> None:
+        if self.foreseen is not None:
+            self.foreseen.look()
+
     def assemble_jacobian(self, A: PETSc.Mat) -> None:
+        self._foresee()
         dolfinx_petsc.assemble_matrix(A, self.J, bcs=self.bcs)
+        if self.foreseen is not None:
+            self.foreseen.advance()
 
     def assemble_tension(self, A: PETSc.Mat) -> None:
         """Add ∫ ∇u : ∇v dΩ, zero on prescribed rows and columns: what a uniform tension of 1 Pa adds to the stiffness."""
@@ -130,7 +154,9 @@ class BodyForms:
         dolfinx_petsc.assemble_matrix(A, self._tension, self.bcs, 0.0)
 
     def stiffness(self) -> PETSc.Mat:
-        """The Jacobian without Dirichlet conditions, alone."""
+        """The Jacobian without Dirichlet conditions, alone, in the start state."""
+        self.begin()
+        self._foresee()
         A = dolfinx_petsc.assemble_matrix(self.J)
         A.assemble()
         return A
@@ -143,6 +169,7 @@ class Bodies:
         residuals, displacements: one each per body.
         bcs: Dirichlet conditions of all bodies.
         jacobians: one per body, or None for derivatives of the residuals.
+        foreseen: what else derivatives need of nearly incompressible bodies, one each or None.
 
     Raises:
         ValueError: on every rank: a displacement that is not Lagrange of order 1 or 2 with gdim components, a mesh of
@@ -156,6 +183,7 @@ class Bodies:
         displacements: Sequence[fem.Function],
         bcs: Sequence[fem.DirichletBC],
         jacobians: Sequence[Any] | None,
+        foreseen: Sequence[ForeseenPressure | None] | None = None,
     ) -> None:
         if len(residuals) != len(displacements) or not displacements:
             raise ValueError(f"F: {len(residuals)} residuals for {len(displacements)} displacements u: pass one each")
@@ -173,8 +201,8 @@ class Bodies:
                 raise ValueError(
                     f"u: bodies on communicators of {self.comm.size} and {V.mesh.comm.size} ranks; make all meshes on one"
                 )
-        forms = [None] * len(spaces) if jacobians is None else jacobians
-        self.bodies = [BodyForms(*parts) for parts in zip(residuals, displacements, own, forms, strict=True)]
+        forms, seen = (given or [None] * len(spaces) for given in (jacobians, foreseen))
+        self.bodies = [BodyForms(*parts) for parts in zip(residuals, displacements, own, forms, seen, strict=True)]
         for u in displacements:
             u.x.scatter_forward()
 
@@ -241,12 +269,25 @@ class Bodies:
         return [values[part] for part in self._slices]
 
     def snapshot(self) -> dict[str, Array]:
-        """The displacements (owned dofs,)."""
-        return {"u": self.get()}
+        """The displacements, and of nearly incompressible bodies those that solves begin from (owned dofs,)."""
+        starts = {
+            f"start{k}": body.foreseen.last[: part.stop - part.start].copy()
+            for k, (body, part) in enumerate(zip(self.bodies, self._slices, strict=True))
+            if body.foreseen is not None
+        }
+        return {"u": self.get()} | starts
 
     def restore(self, saved: dict[str, Array]) -> None:
         """Back to a snapshot."""
         self.set(saved["u"])
+        for k, body in enumerate(self.bodies):
+            if body.foreseen is not None:
+                body.foreseen.begin(saved[f"start{k}"])
+
+    def begin(self) -> None:
+        """The displacements are those of a converged state, from which solves begin."""
+        for body in self.bodies:
+            body.begin()
 
     def check_constants(self) -> None:
         """The forms' Constants, such as a load, must be numbers, the same on all ranks (collective).

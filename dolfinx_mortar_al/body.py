@@ -15,6 +15,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
+from dolfinx_mortar_al.foreseen_pressure import ForeseenPressure
 from dolfinx_mortar_al.materials import Hyperelastic, cell_measure
 from dolfinx_mortar_al.membrane import NeoHookeanMembrane
 from dolfinx_mortar_al.reductions import sum_over
@@ -82,6 +83,7 @@ class Body:
         residual: UFL form, internal minus external virtual work in equilibrium.
         parts: the materials with their measures.
         external: virtual work of the loads as a UFL form, None without any.
+        foreseen: for the residual's derivative, of nearly incompressible parts; None without any.
 
     Raises:
         ValueError: on every rank: a material for other cells, parts that leave cells out or have some in common, a density
@@ -114,6 +116,8 @@ class Body:
         if self.external is not None:
             self.residual -= self.external
             check_measures(self.residual, "external")
+        laws = [(p.material, p.dx, p.depth) for p in self.parts if isinstance(p.material, Hyperelastic)]
+        self.foreseen = ForeseenPressure.of(u, laws)
 
     @property
     def width(self) -> Any:

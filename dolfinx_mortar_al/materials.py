@@ -31,6 +31,8 @@ __all__ = [
 
 SMALL_STRAIN = 1e-5  # change of 𝐂 where the rest of a discrete gradient, by differences, is round-off
 TINY_STRAIN = 1e-30  # where its quotient is 0/0
+# Λ/G from which a strain of .4 in a step, by Λ .4²/2, brings a pressure near G, and Newton was seen to save iterations
+STIFF_IN_VOLUME = 10.0
 SERIES = 0.05  # up to which six terms give artanh z − z to round-off
 
 
@@ -82,6 +84,16 @@ class Hyperelastic(ABC):
     @abstractmethod
     def first_piola(self, F: Expr) -> Expr:
         """𝐏 = ∂w/∂𝐅 in Pa, written out (shorter kernels than an automatic derivative)."""
+
+    def volume_strain(self, F: Expr) -> Any:
+        """θ of a part Λ θ²/2 of w; None of a law without such a part."""
+        return None
+
+    @property
+    def is_nearly_incompressible(self) -> bool:
+        """Whether Λ is far above G (ν > .4545), or may be, being an expression."""
+        G, Λ = constant_value(self.G), constant_value(self.lame)
+        return isinstance(G, Expr) or isinstance(Λ, Expr) or bool(Λ > STIFF_IN_VOLUME * G)
 
     @abstractmethod
     def energy_of_strain(self, C: Expr) -> Expr:
@@ -139,6 +151,10 @@ class SaintVenantKirchhoff(Hyperelastic):
     def first_piola(self, F: Expr) -> Expr:
         return F * self.second_piola(F.T * F)
 
+    def volume_strain(self, F: Expr) -> Expr:
+        """tr 𝐄."""
+        return ufl.tr(F.T * F - ufl.Identity(F.ufl_shape[0])) / 2
+
     def energy_of_strain(self, C: Expr) -> Expr:
         E = (C - ufl.Identity(C.ufl_shape[0])) / 2
         return self.lame / 2 * ufl.tr(E) ** 2 + self.G * ufl.inner(E, E)
@@ -168,6 +184,10 @@ class NeoHookean(Hyperelastic):
     def first_piola(self, F: Expr) -> Expr:
         F_inv_T = ufl.inv(F).T
         return self.G * (F - F_inv_T) + self.lame * ufl.ln(ufl.det(F)) * F_inv_T
+
+    def volume_strain(self, F: Expr) -> Expr:
+        """ln det 𝐅."""
+        return ufl.ln(ufl.det(F))
 
     least_change: ClassVar[float] = TINY_STRAIN
 

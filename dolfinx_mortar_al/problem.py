@@ -114,7 +114,8 @@ class ContactProblem:
         with self.stopwatch("forms"):
             residuals = list(F) if isinstance(F, list | tuple) else [F]
             jacobians = [jacobian] if isinstance(jacobian, ufl.Form) else jacobian
-            self.bodies = Bodies(residuals, listed("u", u, fem.Function, "a Function"), bcs, jacobians)
+            foreseen = [body.foreseen if isinstance(body, Body) else None for body in said]
+            self.bodies = Bodies(residuals, listed("u", u, fem.Function, "a Function"), bcs, jacobians, foreseen)
         self.comm, self.gdim = self.bodies.comm, self.bodies.gdim
         if self.inverted_volume() > 0:
             raise ValueError(
@@ -645,6 +646,7 @@ class ContactProblem:
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""
         self.lacks_stiffness = False
+        self.bodies.begin()
         if self.ties is not None:
             self.ties.move(np.zeros(self.ties.resistance.shape[:2]))
         for pair in self.pairs:
