@@ -23,7 +23,6 @@ from dolfinx_mortar_al.membrane import area_stretch
 from dolfinx_mortar_al.moduli import yielding_share
 from dolfinx_mortar_al.petsc_blocks import Layout
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
-from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.validation import check_cells, check_residual, compiled, listed
 from dolfinx_mortar_al.versions import geometry_degree, whole_form
@@ -53,6 +52,8 @@ class BodyForms:
         #: the residual's Constants, and what they were when the problem was made
         self.constants = list(F.constants())
         self.constant_values = [np.array(c.value) for c in self.constants]
+        #: the residual's Functions but u
+        self.fields = [c for c in F.coefficients() if isinstance(c, fem.Function) and c is not u]
         self._inverted = fem.form(self._inversion_indicator())
         #: (nodes,) the connected piece of the mesh that each node belongs to, ghosts included; how many there are
         self.piece, self.pieces = pieces_of(self.space)
@@ -247,25 +248,6 @@ class Bodies:
     def restore(self, saved: dict[str, Array]) -> None:
         """Back to a snapshot."""
         self.set(saved["u"])
-
-    def check_constants(self) -> None:
-        """The forms' Constants, such as a load, must be numbers, the same on all ranks (collective).
-
-        Raises:
-            ValueError: on every rank.
-        """
-        for k, body in enumerate(self.bodies):
-            values = np.concatenate([[0.0], *(np.ravel(c.value) for c in body.constants)])
-            if any_over(self.comm, not np.isfinite(values).all()):
-                raise ValueError(
-                    f"a Constant in the form of u[{k}], such as a load, has the value {values[~np.isfinite(values)]}: "
-                    "give it a finite number"
-                )
-            agreed(
-                self.comm,
-                f"the values of the Constants in the form of u[{k}]",
-                [c.value.tolist() for c in body.constants],
-            )
 
     def lacks_stiffness(self, diagonals: Sequence[fem.Function]) -> bool:
         """Whether a displacement that is not prescribed meets next to no stiffness (collective); see `stiffness`."""

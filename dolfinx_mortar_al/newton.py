@@ -133,7 +133,7 @@ class NewtonSolver:
         With `path` the load is an unknown too, and the present displacements are the prediction of the path.
         """
         p, self._path = self.problem, path
-        p.bodies.check_constants()
+        p.given.check()
         self.linear.begin()
         self.result = NewtonResult()
         self._patterns: list[int] = []

@@ -23,6 +23,7 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.body import Body
 from dolfinx_mortar_al.contact import Contact, ContactPair
+from dolfinx_mortar_al.given import Given
 from dolfinx_mortar_al.load import Loads
 from dolfinx_mortar_al.monitors import Finding, Monitor
 from dolfinx_mortar_al.motion import Motion
@@ -116,6 +117,7 @@ class ContactProblem:
             jacobians = [jacobian] if isinstance(jacobian, ufl.Form) else jacobian
             self.bodies = Bodies(residuals, listed("u", u, fem.Function, "a Function"), bcs, jacobians)
         self.comm, self.gdim = self.bodies.comm, self.bodies.gdim
+        Given(self.comm, self.bodies.bodies).check()
         if self.inverted_volume() > 0:
             raise ValueError(
                 "u: det F ≤ 0 somewhere in the start state; start from a displacement without inverted cells"
@@ -136,6 +138,8 @@ class ContactProblem:
                 "contacts",
                 [(pair.name, pair.friction_coefficient, pair.contact.thickness) for pair in self.pairs],
             )
+        #: what a user may change between solves
+        self.given = Given(self.comm, self.bodies.bodies, self.pairs)
         #: what marches have moved
         self.loads = Loads()
         #: what a snapshot is made of, in the order in which it is restored

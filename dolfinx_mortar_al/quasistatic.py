@@ -255,10 +255,10 @@ def _legs(problem: ContactProblem, stages: Sequence[Stage], start: float | None)
         leg = _Leg(problem, load, load.end(f"{where}to", stage.to), increments, Event(problem.comm, stage.until))
         if start is not None:
             leg.start = load.end("start", start)
-        shared = (
-            None if isinstance(load.source, fem.Function) else leg.end.tolist()
-        )  # of a Function each rank has a part
-        agreed(problem.comm, f"{where}start, to, increments", (start, shared, increments))
+        # of a Function each rank has a part
+        begin, end = (None, None) if isinstance(load.source, fem.Function) else (load.value.tolist(), leg.end.tolist())
+        agreed(problem.comm, f"{where}start, to, increments", (start, end, increments))
+        agreed(problem.comm, f"{where}load: its present value", begin)
         earlier = next((one for one in reversed(legs) if one.load is load), None)
         before = leg.start if leg.start is not None else load.value if earlier is None else earlier.end
         if (earlier is None or stages[legs.index(earlier)].until is None) and _alike(problem, before, leg.end):

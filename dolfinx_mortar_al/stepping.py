@@ -138,6 +138,7 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
     """
     reporter = Reporter(control.problem.comm.rank)
     size, leg, closing_in = 1.0, control.leg, False
+    control.problem.given.check()
     control.begin()
     iterations, clock = 0, perf_counter()
     reasons: list[str] = []

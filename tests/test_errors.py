@@ -362,6 +362,103 @@ def test_values_that_differ_between_ranks():
         list(quasistatic.march(problem, P, to=3.0, increments=1, until=lambda: problem.comm.rank == 1))
 
 
+def pulled_square(value=(0.0, 0.0), start=None, load=0.0):
+    """A square on a plane, held below, with values prescribed on top and a force: (march of 2 increments, what a user may
+    change by name)."""
+    comm = MPI.COMM_WORLD
+    domain = mesh.create_unit_square(comm, 2, 2)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u, P, field = fem.Function(V, name="displacement"), fem.Constant(domain, load), fem.Function(V, name="weight")
+    u.x.array[:] = 0.0 if start is None else start
+    pull, μ = fem.Function(V, name="pull"), fem.Constant(domain, 0.3)
+    top = fem.Constant(domain, value)
+    at = [fem.locate_dofs_geometrical(V, where) for where in (on_the_left, on_top)]
+    bcs = [fem.dirichletbc(pull, at[0]), fem.dirichletbc(top, at[1], V)]
+    loads = [(ufl.as_vector([P, 0.0]), ufl.dx(domain)), (field, ufl.dx(domain))]
+    bottom = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 0.0))
+    tags = mesh.meshtags(domain, 1, np.sort(bottom), np.full(len(bottom), 7, dtype=np.int32))
+    floor = obstacles.RigidPlane([0.0, -0.1], [0.0, 1.0])
+    body = Body(u, materials.neo_hookean(1.0, 0.3), external=loads, bcs=bcs)
+    problem = ContactProblem(body, contacts=[Contact(Surface(domain, tags, 7), floor, friction=μ, name="sole")])
+    given = {
+        "problem": problem,
+        "u": u,
+        "P": P,
+        "weight": field,
+        "pull": pull,
+        "top": top,
+        "friction": μ,
+        "floor": floor,
+    }
+    return quasistatic.march(problem, P, to=0.02, increments=2), given
+
+
+def on_the_left(x):
+    return np.isclose(x[0], 0.0)
+
+
+def on_top(x):
+    return np.isclose(x[1], 1.0)
+
+
+@pytest.mark.skipif(MPI.COMM_WORLD.size == 1, reason="needs ranks that differ")
+@pytest.mark.parametrize(
+    "name, words",
+    [
+        ("P", "load: its present value"),
+        ("top", r"the Dirichlet condition 1 of u\[0\]"),
+        ("friction", "friction of sole"),
+        ("floor", "the pose of sole's obstacle"),
+    ],
+)
+def test_what_is_changed_between_steps_on_one_rank_alone(name, words):
+    rank = MPI.COMM_WORLD.rank
+    march, given = pulled_square()
+    next(march)
+    if name == "floor":
+        given[name].move([0.0, -0.01 * rank])
+    else:
+        given[name].value = given[name].value + 0.01 * rank
+    with pytest.raises(ValueError, match=rf"{words}.*on rank 0, .* on rank 1; must be the same on all ranks"):
+        next(quasistatic.march(given["problem"], given["P"], to=1.0, increments=1))
+
+
+@pytest.mark.parametrize("wrong", [np.nan, -np.inf])
+@pytest.mark.parametrize(
+    "name, words",
+    [
+        ("u", r"u\[0\] \(Function 'displacement'\): component . has the value VALUE at X = \(.*\)"),
+        (
+            "pull",
+            r"the Dirichlet condition 0 of u\[0\] \(Function 'pull'\): component . has the value VALUE at X = \(.*\)",
+        ),
+        ("top", r"the Dirichlet condition 1 of u\[0\] has the value \[ *0. VALUE\]"),
+        ("weight", r"Function 'weight' in the form of u\[0\]: 18 of its values are no finite numbers"),
+        ("friction", "friction of sole has the value .VALUE."),
+    ],
+)
+def test_what_is_changed_between_steps_to_no_number(name, words, wrong):
+    march, given = pulled_square()
+    next(march)
+    if name == "top":
+        given[name].value[1] = wrong
+    elif name == "friction":
+        given[name].value = wrong
+    else:
+        given[name].x.array[:] = wrong
+    with pytest.raises(ValueError, match=words.replace("VALUE", str(wrong))), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        next(quasistatic.march(given["problem"], given["P"], to=1.0, increments=1))
+
+
+@pytest.mark.parametrize(
+    "options, words", [({"start": np.nan}, r"u\[0\] "), ({"value": (0.0, np.inf)}, "condition 1 of")]
+)
+def test_a_start_that_is_no_number(options, words):
+    with pytest.raises(ValueError, match=rf"{words}.*(nan|inf)"):
+        pulled_square(**options)
+
+
 @pytest.mark.parametrize("up", [1.0, -1.0])
 def test_a_history_resumed(shared_path, up):
     problem, _ = beams(order=1)
