@@ -24,8 +24,8 @@ from dolfinx_mortar_al.moduli import yielding_share
 from dolfinx_mortar_al.petsc_blocks import Layout
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
-from dolfinx_mortar_al.validation import check_cells, check_residual, compiled, listed
-from dolfinx_mortar_al.versions import geometry_degree, whole_form
+from dolfinx_mortar_al.validation import check_cells, check_residual, check_space, compiled, listed
+from dolfinx_mortar_al.versions import whole_form
 
 __all__ = ["Bodies", "BodyForms"]
 
@@ -42,7 +42,7 @@ class BodyForms:
 
     def __init__(self, F: Any, u: fem.Function, bcs: Sequence[fem.DirichletBC], jacobian: Any) -> None:
         self.u, self.space, self.mesh = u, u.function_space, u.function_space.mesh
-        _check_space(u)
+        check_space(u)
         check_cells(self.mesh)
         check_residual(F, u)
         self.bcs = list(bcs)
@@ -455,24 +455,3 @@ class Bodies:
         scale.array[:] = np.sqrt(scale.array_r / np.where(own.array_r > 0, own.array_r, np.inf))
         total.diagonalScale(scale, scale)
         return total
-
-
-def _check_space(u: fem.Function) -> None:
-    V = u.function_space
-    if u.dtype != np.float64 or V.mesh.geometry.x.dtype != np.float64:
-        raise ValueError(f"u: {u.dtype} on a mesh of {V.mesh.geometry.x.dtype}; contact needs both in float64")
-    if V.num_sub_spaces and not V.dofmap.index_map_bs > 1:
-        raise ValueError("u: a mixed element; pass the displacement as a Function of a space of its own")
-    domain, element = V.mesh, V.element.basix_element
-    d, tdim = domain.geometry.dim, domain.topology.dim
-    if tdim not in (d, d - 1):
-        raise ValueError(f"a mesh of dimension {tdim} in space of dimension {d}: neither a body nor a membrane")
-    if V.dofmap.index_map_bs != d:
-        raise ValueError(f"u has {V.dofmap.index_map_bs} components on a mesh in space of dimension {d}")
-    if element.family.name != "P" or element.degree not in (1, 2) or element.discontinuous:
-        raise ValueError(f"u: {V.ufl_element()} is not a continuous Lagrange element of order 1 or 2")
-    if geometry_degree(domain) > element.degree:
-        raise ValueError(
-            f"u has order {element.degree} on a mesh of order {geometry_degree(domain)}: "
-            "take u at least of the mesh's order"
-        )

@@ -24,6 +24,7 @@ from dolfinx_mortar_al.validation import (
     check_linear,
     check_measures,
     check_residual,
+    check_space,
     listed,
     positive_or_ufl,
     vector,
@@ -100,6 +101,7 @@ class Body:
     ) -> None:
         if not isinstance(u, fem.Function):
             raise ValueError(f"u: {type(u).__name__} is not a Function; pass the displacement")
+        check_space(u)
         self.u, self.thickness = u, positive_or_ufl("thickness", thickness)
         self.bcs, self.density = _conditions(bcs, u), density
         self.external = _virtual_work(external, u, self.width)

@@ -17,7 +17,7 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.validation import check_callable, number
+from dolfinx_mortar_al.validation import check_callable, check_scalar, number
 
 __all__ = ["Load", "Loads", "Movable"]
 
@@ -178,6 +178,8 @@ class Loads:
 
     def _add(self, source: Any, name: str) -> Load:
         new: Load
+        if isinstance(source, fem.Constant | fem.Function):
+            check_scalar(name, source)
         if isinstance(source, fem.Constant):
             new = _ConstantLoad(source)
         elif isinstance(source, fem.Function):

@@ -61,9 +61,9 @@ def lame(E: Any, ν: Any) -> tuple[Any, Any]:
     Raises:
         ValueError: on numbers out of range; a UFL expression has none to look at.
     """
-    if not isinstance(constant_value(E), Expr):
+    if not isinstance(constant_value(E, "E"), Expr):
         number("E", constant_value(E), above=0.0, must="Young's modulus (Pa) must be")
-    if not isinstance(constant_value(ν), Expr):
+    if not isinstance(constant_value(ν, "nu"), Expr):
         number("nu", constant_value(ν), above=-1.0, below=0.5, must="Poisson's ratio must be")
     return E / (2 * (1 + ν)), E * ν / ((1 + ν) * (1 - 2 * ν))
 

@@ -34,6 +34,9 @@ __all__ = [
     "check_motions",
     "check_names",
     "check_residual",
+    "check_scalar",
+    "check_scalars",
+    "check_space",
     "compiled",
     "constant_value",
     "joint_thickness",
@@ -106,9 +109,28 @@ def vector(name: str, value: Any, components: int) -> NDArray[np.float64]:
     return result
 
 
-def constant_value(value: Any) -> Any:
-    """The number in a scalar UFL Constant; anything else as it is."""
-    return float(value.value) if isinstance(value, fem.Constant) and value.value.shape == () else value
+def check_scalar(name: str, field: fem.Constant | fem.Function) -> None:
+    """Constants and Functions must be in float64: DOLFINx compiles no form of several kinds of numbers.
+
+    Raises:
+        ValueError: if one is not.
+    """
+    if field.dtype != np.float64:
+        kind = type(field).__name__
+        way = f"fem.{kind}(mesh, default_scalar_type(…))" if kind == "Constant" else f"fem.{kind}(V)"
+        raise ValueError(f"{name}: a {kind} of {field.dtype}; make it one of float64, as {way} does")
+
+
+def constant_value(value: Any, name: str = "a number") -> Any:
+    """The number in a scalar UFL Constant; anything else as it is.
+
+    Raises:
+        ValueError: if the Constant is not of float64.
+    """
+    if not isinstance(value, fem.Constant):
+        return value
+    check_scalar(name, value)
+    return float(value.value) if value.value.shape == () else value
 
 
 def positive_or_ufl(name: str, value: Any) -> Any:
@@ -117,7 +139,7 @@ def positive_or_ufl(name: str, value: Any) -> Any:
     Raises:
         ValueError: if it is neither, or a Constant that is not positive.
     """
-    said = constant_value(value)
+    said = constant_value(value, name)
     if isinstance(said, ufl.core.expr.Expr):
         return value
     checked = number(name, said, above=0.0)
@@ -191,8 +213,20 @@ def check_residual(F: Any, u: fem.Function, name: str = "F") -> None:
             f"{name}: its test function is of another space than u: use ufl.TestFunction(u.function_space)"
         )
     check_measures(F, name)
+    check_scalars(F, name)
     if u not in F.coefficients():
         raise ValueError(f"{name} does not depend on u: is it written with another Function?")
+
+
+def check_scalars(form: ufl.Form, name: str) -> None:
+    """A form's Constants and Functions must be in float64.
+
+    Raises:
+        ValueError: if one is not.
+    """
+    for field in (*form.constants(), *form.coefficients()):
+        if isinstance(field, fem.Constant | fem.Function):
+            check_scalar(name, field)
 
 
 def check_measures(F: ufl.Form, name: str) -> None:
@@ -249,6 +283,7 @@ def check_external(external: Any, u: fem.Function) -> None:
     arguments = external.arguments()
     if len(arguments) != 1 or arguments[0].ufl_function_space() != u.function_space:
         raise ValueError("external: must be linear in the test function of u's space")
+    check_scalars(external, "external")
     check_linear("external", external)
 
 
@@ -370,6 +405,37 @@ def check_law(u: fem.Function, membrane: bool, what: str) -> None:
 
 
 # ---------------------------------------------------------------- meshes
+
+
+def check_space(u: fem.Function) -> None:
+    """A displacement is Lagrange of order 1 or 2 with as many components as space has dimensions, two or three.
+
+    Raises:
+        ValueError: if it is another Function.
+    """
+    V = u.function_space
+    if u.dtype != np.float64 or V.mesh.geometry.x.dtype != np.float64:
+        raise ValueError(f"u: {u.dtype} on a mesh of {V.mesh.geometry.x.dtype}; contact needs both in float64")
+    if V.num_sub_spaces and not V.dofmap.index_map_bs > 1:
+        raise ValueError("u: a mixed element; pass the displacement as a Function of a space of its own")
+    domain, element = V.mesh, V.element.basix_element
+    d, tdim = domain.geometry.dim, domain.topology.dim
+    if d == 1:
+        raise ValueError("u: a mesh of intervals in space of dimension 1; bodies are in the plane or in space")
+    if tdim not in (d, d - 1):
+        raise ValueError(f"a mesh of dimension {tdim} in space of dimension {d}: neither a body nor a membrane")
+    if V.dofmap.index_map_bs != d:
+        raise ValueError(
+            f"u has {V.dofmap.index_map_bs} components on a mesh in space of dimension {d}: take it from "
+            f'fem.functionspace(mesh, ("Lagrange", 2, ({d},)))'
+        )
+    if element.family.name != "P" or element.degree not in (1, 2) or element.discontinuous:
+        raise ValueError(f"u: {V.ufl_element()} is not a continuous Lagrange element of order 1 or 2")
+    if geometry_degree(domain) > element.degree:
+        raise ValueError(
+            f"u has order {element.degree} on a mesh of order {geometry_degree(domain)}: "
+            "take u at least of the mesh's order"
+        )
 
 
 def are_tags_of(tags: Any, domain: mesh.Mesh) -> bool:

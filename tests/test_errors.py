@@ -94,6 +94,24 @@ def test_friction_must_be_a_number_not_below_zero(domain, μ):
         pair(domain, friction=μ)
 
 
+@pytest.mark.parametrize("constant", [False, True])
+def test_a_friction_beyond_that_of_any_surface_is_said(constant):
+    """30 for 30 %, once however many solves there are; that of rubber is nothing to say."""
+    μ = fem.Constant(beams(order=1)[0].u.function_space.mesh, 4.0)
+    problem, P = beams(order=1, friction=μ if constant else 30.0)
+    if constant:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            list(quasistatic.march(problem, P, to=0.5, increments=1))
+        μ.value = 30.0
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        list(quasistatic.march(problem, P, to=1.0, increments=2))
+    said = [str(w.message) for w in caught if issubclass(w.category, monitors.ModelWarning)]
+    assert len(said) == (problem.comm.rank == 0)
+    assert all("friction = 30: " in text and "30 % are written 0.3" in text for text in said)
+
+
 @pytest.mark.parametrize("name", ["epsilon_normal", "epsilon_tangential", "thickness"])
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
 def test_parameters_must_be_positive(domain, name, value):
@@ -140,6 +158,51 @@ def test_a_mesh_of_the_wrong_dimension():
     F = ufl.inner(u, ufl.TestFunction(u.function_space)) * ufl.dx
     with pytest.raises(ValueError, match="mesh of dimension 1 in space of dimension 3"):
         ContactProblem(F, u)
+
+
+def test_a_line_is_no_body():
+    line = mesh.create_unit_interval(MPI.COMM_WORLD, 4)
+    for shape in ((), (1,)):
+        u = fem.Function(fem.functionspace(line, ("Lagrange", 1, shape)))
+        F = ufl.inner(u, ufl.TestFunction(u.function_space)) * ufl.dx
+        for make in (lambda u=u: Body(u, materials.neo_hookean(1.0, 0.3)), lambda F=F, u=u: ContactProblem(F, u)):
+            with pytest.raises(ValueError, match="intervals in space of dimension 1"):
+                make()
+
+
+def test_a_body_needs_a_vector_and_a_solid(domain):
+    u = fem.Function(fem.functionspace(domain[0], ("Lagrange", 1)))
+    with pytest.raises(ValueError, match=r"1 components .* take it from fem.functionspace\(mesh, \(.*, \(2,\)\)\)"):
+        Body(u, materials.neo_hookean(1.0, 0.3))
+
+
+def test_arguments_of_a_surface_in_another_order(domain):
+    for said in [(domain[2], domain[0], 12), (domain[0], 12, domain[2])]:
+        with pytest.raises(
+            ValueError, match=r"takes a mesh, MeshTags and a tag in this order, not (MeshTags|Mesh), .*"
+        ):
+            Surface(*said)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.complex64, np.complex128])
+def test_constants_of_other_numbers_than_float64(domain, kind):
+    """DOLFINx itself refuses whole ones."""
+    built = domain[0]
+    V = fem.functionspace(built, ("Lagrange", 1, (2,)))
+    u, other, law = fem.Function(V), fem.Constant(built, kind(0.3)), materials.neo_hookean(1.0, 0.3)
+    problem = ContactProblem(law.virtual_work(u), u)
+    makes = {
+        "external": lambda: Body(u, law, external=(ufl.as_vector([other, 0.0]), ufl.dx(built))),
+        "F": lambda: ContactProblem(other * law.virtual_work(u), u),
+        "E": lambda: materials.neo_hookean(other, 0.3),
+        "nu": lambda: materials.neo_hookean(1.0, other),
+        "density": lambda: Body(u, law, density=other),
+        "friction": lambda: pair(domain, friction=other),
+        "load": lambda: quasistatic.march(problem, other, to=1.0, increments=1),
+    }
+    for name, make in makes.items():
+        with pytest.raises(ValueError, match=rf"{name}: a Constant of {np.dtype(kind)}; .*default_scalar_type"):
+            make()
 
 
 def test_an_inverted_start(domain):
