@@ -121,10 +121,9 @@ class NewtonSolver:
         snes.setLineSearchPreCheck(self._guard)
         self.linear.configure(snes.getKSP())
         # Full steps, guarded: with changes of contact state the norm of the residual says little about progress.
-        options = PETSc.Options(prefix)
-        if not options.hasName("snes_linesearch_type"):
-            options["snes_linesearch_type"] = "basic"
-        snes.setFromOptions()
+        self.linear.options.default("", {"snes_linesearch_type": "basic"})
+        with self.linear.options:
+            snes.setFromOptions()
         return snes
 
     def solve(self, path: Path | None = None) -> NewtonResult:
@@ -132,8 +131,15 @@ class NewtonSolver:
 
         With `path` the load is an unknown too, and the present displacements are the prediction of the path.
         """
+        self.problem.given.check()
+        with self.linear.options:
+            result = self._solve(path)
+        self.linear.say_unread()
+        return result
+
+    def _solve(self, path: Path | None) -> NewtonResult:
+        """Solve, with PETSc's options in place."""
         p, self._path = self.problem, path
-        p.given.check()
         self.linear.begin()
         self.result = NewtonResult()
         self._patterns: list[int] = []

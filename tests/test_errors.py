@@ -582,6 +582,20 @@ def test_petsc_options_come_from_the_command_line(monkeypatch):
     assert solver.solve().converged
 
 
+@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own process")
+@pytest.mark.parametrize("solve", [False, True])
+def test_options_that_nothing_reads(solve):
+    """A misspelt option is named; of options that the user has not set PETSc says nothing at its end."""
+    script = f"from scenes import beams, NewtonSolver\ns = NewtonSolver(beams(order=1)[0])\nif {solve}: s.solve()"
+    options = ["-contact_kps_rtol", "1e-5", "-contact_snes_rtol", "1e-9", "-contact_direct_pc_type", "lu"]
+    command, here = [sys.executable, "-c", script], Path(__file__).parent
+    for asked in ([], options):
+        run = subprocess.run([*command, *asked], capture_output=True, text=True, timeout=60, cwd=here, check=True)
+        assert ("no part of this solver reads: -contact_kps_rtol 1e-5; are they" in run.stderr) == bool(solve and asked)
+        assert ("WARNING! There are options" in run.stderr + run.stdout) == bool(asked)
+        assert "mumps" not in run.stderr + run.stdout
+
+
 @pytest.mark.parametrize("where", ["material", "load", "plain", "condition"])
 def test_a_tag_that_marks_nothing_is_refused(where):
     """A misspelt tag would leave a material, a load or a support out without a word."""
