@@ -23,6 +23,7 @@ from dolfinx_mortar_al.membrane import area_stretch
 from dolfinx_mortar_al.moduli import yielding_share
 from dolfinx_mortar_al.petsc_blocks import Layout
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
+from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.validation import check_cells, check_residual, check_space, compiled, listed
 from dolfinx_mortar_al.versions import whole_form
@@ -46,7 +47,13 @@ class BodyForms:
         check_cells(self.mesh)
         check_residual(F, u)
         self.bcs = list(bcs)
+        if len(set(self.mesh.comm.allgather(F.signature()))) > 1:
+            raise ValueError(
+                "F: not the same form on all ranks: is a material, load or number in it made on each alone?"
+            )
         J = ufl.derivative(F, u) if jacobian is None else jacobian
+        if not isinstance(J, ufl.Form) or len(J.arguments()) != 2:
+            raise ValueError("jacobian: must be a bilinear UFL form; leave it out for the derivative of F")
         self.F, self.J = (compiled(whole_form(form, self.mesh), F) for form in (F, J))
         self.signature = str(F.signature())
         #: the residual's Constants, and what they were when the problem was made
@@ -166,6 +173,7 @@ class Bodies:
             raise ValueError(f"u: bodies in spaces of dimension {[V.mesh.geometry.dim for V in spaces]}")
         self.comm: MPI.Intracomm = spaces[0].mesh.comm
         bcs = listed("bcs", bcs, fem.DirichletBC, "a Dirichlet condition")
+        agreed(self.comm, "bcs: how many", len(bcs))
         own = [[bc for bc in bcs if V._cpp_object.contains(bc.function_space)] for V in spaces]
         if sum(map(len, own)) != len(bcs):
             raise ValueError("bcs: a Dirichlet condition is on a space of none of the displacements u")

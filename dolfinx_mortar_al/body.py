@@ -17,6 +17,7 @@ from ufl.core.expr import Expr
 
 from dolfinx_mortar_al.materials import Hyperelastic, cell_measure
 from dolfinx_mortar_al.membrane import NeoHookeanMembrane
+from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.validation import (
     check_external,
@@ -219,6 +220,7 @@ def _cell_tags(forms: Sequence[ufl.Form]) -> Any:
 
 def _conditions(bcs: Any, u: fem.Function) -> list[fem.DirichletBC]:
     conditions = listed("bcs", bcs, fem.DirichletBC, "a Dirichlet condition")
+    agreed(u.function_space.mesh.comm, "bcs: how many", len(conditions))  # on ranks without a node of it, too
     for k, bc in enumerate(conditions):
         if not u.function_space._cpp_object.contains(bc.function_space):
             raise ValueError(f"bcs[{k}]: a Dirichlet condition on another space than u's; pass it to its own body")

@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.fingerprint import differences, fingerprint
 from dolfinx_mortar_al.ledger import Ledger
-from dolfinx_mortar_al.problem import ContactProblem, Snapshot
+from dolfinx_mortar_al.problem import ContactProblem, Snapshot, check_problem
 from dolfinx_mortar_al.ranks import on_root, together
+from dolfinx_mortar_al.validation import path_of
 
 __all__ = ["Checkpoint", "Saved"]
 
@@ -54,10 +55,12 @@ class Checkpoint:
 
     Raises:
         OSError: on every rank, if the directory cannot be made.
+        ValueError: if it is no path, or `problem` no problem.
     """
 
     def __init__(self, directory: Path | str, problem: ContactProblem) -> None:
-        self._directory, self._problem = Path(directory), problem
+        self._directory, self._problem = path_of("directory", directory), problem
+        check_problem(problem)
         if problem.motions:  # what a step keeps at points is part of the state that is loaded
             for pair in problem.pairs:
                 pair.use_steps()

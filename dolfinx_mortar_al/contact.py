@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -145,6 +145,13 @@ class Contact:
             raise ValueError(
                 f"contactor and target are the same surface (tag {a.tag}): leave the target out for contact with itself"
             )
+
+    @property
+    def said(self) -> dict[str, Any]:
+        """What is to be the same on all ranks, by the name of the argument."""
+        plain = {field.name: getattr(self, field.name) for field in fields(self)}
+        shown = {"friction": constant_value(self.friction), "contactor": self.contactor.tag, "target": self.target_name}
+        return plain | shown
 
     @property
     def target_name(self) -> str:

@@ -17,7 +17,8 @@ from dolfinx_mortar_al.contact_iteration import ContactIteration
 from dolfinx_mortar_al.linear_solver import EXTERNAL, LinearSolver
 from dolfinx_mortar_al.load import Load
 from dolfinx_mortar_al.places import Places
-from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.problem import ContactProblem, check_problem
+from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.ties import Bearing
 from dolfinx_mortar_al.validation import number, whole
@@ -101,8 +102,10 @@ class NewtonSolver:
     def __init__(
         self, problem: ContactProblem, *, rtol: float = 1e-9, max_iterations: int = 80, prefix: str = "contact_"
     ) -> None:
+        check_problem(problem)
         self.problem, self.rtol = problem, number("rtol", rtol, above=0.0, below=1.0)
         self._max_iterations, self._prefix = whole("max_iterations", max_iterations, least=1), prefix
+        agreed(problem.comm, "rtol, max_iterations", (self.rtol, self._max_iterations))
         self.linear = LinearSolver(problem, prefix)
         self.contact_iteration = ContactIteration(problem, self.linear, self._size, LONGEST)
         self.snes = self._create()

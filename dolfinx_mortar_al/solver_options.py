@@ -26,9 +26,14 @@ class SolverOptions:
 
     Args:
         prefix: without a dash, such as ``contact_``; the user's options are read from the command line, too.
+
+    Raises:
+        ValueError: if it is no text, or has one.
     """
 
     def __init__(self, prefix: str) -> None:
+        if not isinstance(prefix, str) or prefix.startswith("-"):
+            raise ValueError(f"prefix = {prefix!r}: of PETSc's options without their dash, such as contact_")
         self.prefix = prefix
         self._defaults: dict[str, Option] = {}
         self._set: list[str] = []  # those that are in PETSc's data base

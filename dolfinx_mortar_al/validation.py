@@ -9,7 +9,9 @@ from __future__ import annotations
 import inspect
 import itertools
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import basix
@@ -25,6 +27,7 @@ __all__ = [
     "are_tags_of",
     "check_callable",
     "check_cells",
+    "check_columns",
     "check_dead",
     "check_external",
     "check_kinetic",
@@ -39,10 +42,13 @@ __all__ = [
     "check_space",
     "compiled",
     "constant_value",
+    "is_ufl",
     "joint_thickness",
     "listed",
     "number",
+    "path_of",
     "positive_or_ufl",
+    "takes",
     "vector",
     "whole",
 ]
@@ -122,15 +128,30 @@ def check_scalar(name: str, field: fem.Constant | fem.Function) -> None:
 
 
 def constant_value(value: Any, name: str = "a number") -> Any:
-    """The number in a scalar UFL Constant; anything else as it is.
+    """The number in a UFL Constant; anything else as it is.
 
     Raises:
-        ValueError: if the Constant is not of float64.
+        ValueError: if the Constant is not of float64, or no scalar.
     """
     if not isinstance(value, fem.Constant):
         return value
     check_scalar(name, value)
-    return float(value.value) if value.value.shape == () else value
+    if value.value.shape:
+        raise ValueError(f"{name}: a Constant of shape {value.value.shape}; must be one number")
+    return float(value.value)
+
+
+def is_ufl(name: str, value: Any) -> bool:
+    """Whether a value is UFL, to be taken as it is.
+
+    Raises:
+        ValueError: if it is UFL, but no scalar.
+    """
+    if not isinstance(value, ufl.core.expr.Expr):
+        return False
+    if value.ufl_shape:
+        raise ValueError(f"{name}: UFL of shape {value.ufl_shape}; must be a scalar")
+    return True
 
 
 def positive_or_ufl(name: str, value: Any) -> Any:
@@ -140,7 +161,7 @@ def positive_or_ufl(name: str, value: Any) -> Any:
         ValueError: if it is neither, or a Constant that is not positive.
     """
     said = constant_value(value, name)
-    if isinstance(said, ufl.core.expr.Expr):
+    if is_ufl(name, said):
         return value
     checked = number(name, said, above=0.0)
     return checked if said is value else value
@@ -167,12 +188,42 @@ def check_callable(name: str, function: Any, argument: str) -> None:
     Raises:
         ValueError: if it takes another number.
     """
+    if not callable(function) or not takes(function, 0.0):
+        raise ValueError(f"{name}: {function!r} cannot be called with one argument, {argument}")
+
+
+def takes(function: Callable[..., Any], *arguments: Any) -> bool:
+    """Whether a function can be called with these arguments, as far as its signature is known."""
     try:
-        inspect.signature(function).bind(0.0)
+        inspect.signature(function).bind(*arguments)
     except ValueError:  # no signature to look at
-        return
+        return True
     except TypeError:
-        raise ValueError(f"{name}: {function!r} cannot be called with one argument, {argument}") from None
+        return False
+    return True
+
+
+def path_of(name: str, value: Any) -> Path:
+    """A path from a text or path.
+
+    Raises:
+        ValueError: if it is neither.
+    """
+    if not isinstance(value, str | os.PathLike):
+        raise ValueError(f"{name}: {type(value).__name__} is no path; pass a text or a Path")
+    return Path(value)
+
+
+def check_columns(columns: Any) -> list[str]:
+    """Names of a table's columns: texts, none twice.
+
+    Raises:
+        ValueError: if they are something else.
+    """
+    names = [] if isinstance(columns, str) or not isinstance(columns, Iterable) else list(columns)
+    if not names or any(not isinstance(name, str) or not name for name in names) or len(set(names)) < len(names):
+        raise ValueError(f"columns = {columns!r}: pass a list of names, such as ['load', 'force'], none of them twice")
+    return names
 
 
 def check_names(names: Sequence[str | None]) -> list[str]:
@@ -230,11 +281,23 @@ def check_scalars(form: ufl.Form, name: str) -> None:
 
 
 def check_measures(F: ufl.Form, name: str) -> None:
-    """Integrals of one kind must be over measures of the same tags, each of which marks something (collective).
+    """Integrals must be over the mesh of the test function, those of one kind over measures of the same tags, each of which
+    marks something (collective).
 
     Raises:
         ValueError: on every rank, if they are not.
     """
+    domain = F.arguments()[0].ufl_function_space().ufl_domain()
+    fields = [f for f in F.coefficients() if f.ufl_function_space().ufl_domain() != domain]
+    if fields:
+        raise ValueError(
+            f"{name}: {fields[0]} is a Function on another mesh than the displacement's; make it on the same"
+        )
+    if any(integral.ufl_domain() != domain for integral in F.integrals()):
+        raise ValueError(
+            f"{name}: an integral over another mesh than the displacement's; make its measure of the same, "
+            'ufl.Measure("dx", u.function_space.mesh, …)'
+        )
     for kind, data in next(iter(F.subdomain_data().values()), {}).items():
         if any(other is not data[0] for other in data):
             raise ValueError(

@@ -21,6 +21,8 @@ from dolfinx_mortar_al import (
     ContactProblem,
     NewtonSolver,
     Surface,
+    dynamics,
+    loads,
     materials,
     membrane,
     monitors,
@@ -580,6 +582,129 @@ def test_petsc_options_come_from_the_command_line(monkeypatch):
     solver = NewtonSolver(problem, prefix="other_")
     assert solver.snes.getTolerances()[3] == 80
     assert solver.solve().converged
+
+
+def squares():
+    """Two squares with a space each: (u, surfaces of their bottoms and tops by tag 1 and 2)."""
+    made = []
+    for y in (0.0, 1.1):
+        square = mesh.create_rectangle(MPI.COMM_WORLD, [(0.0, y), (1.0, y + 1.0)], (3, 3))
+        ends = [mesh.locate_entities_boundary(square, 1, lambda x, h=h: np.isclose(x[1], h)) for h in (y, y + 1.0)]
+        facets = np.concatenate(ends).astype(np.int32)
+        order, values = np.argsort(facets), np.repeat(np.array([1, 2], dtype=np.int32), [len(f) for f in ends])
+        tags = mesh.meshtags(square, 1, facets[order], values[order])
+        u = fem.Function(fem.functionspace(square, ("Lagrange", 1, (2,))))
+        made.append((u, [Surface(square, tags, tag) for tag in (1, 2)]))
+    return made
+
+
+@pytest.mark.skipif(MPI.COMM_WORLD.size == 1, reason="needs ranks that differ")
+@pytest.mark.parametrize(
+    "what", ["bcs", "bcs of a Body", "contacts", "material", "external", "tag", "quadrature", "rtol"]
+)
+def test_what_one_rank_alone_makes_otherwise(what):
+    """Conditions only where there are nodes of them, numbers drawn on each rank: refused before ranks wait for each other."""
+    (lower, (_, top)), (upper, (bottom, other)) = squares()
+    rank, law, here = MPI.COMM_WORLD.rank, materials.neo_hookean(1.0, 0.3), MPI.COMM_WORLD.rank == 0
+    V = lower.function_space
+    clamp = fem.dirichletbc(np.zeros(2), fem.locate_dofs_geometrical(V, on_the_left), V)
+    bodies, pair = [Body(lower, law), Body(upper, law)], Contact(bottom, top)
+    makes = {
+        "bcs": (lambda: ContactProblem(law.virtual_work(lower), lower, bcs=[clamp] if here else []), "bcs: how many"),
+        "bcs of a Body": (lambda: Body(lower, law, bcs=[clamp] if here else []), "bcs: how many: 1 on rank 0, 0 on"),
+        "contacts": (lambda: ContactProblem(bodies, contacts=[pair] if here else []), "contacts: how many"),
+        "material": (
+            lambda: ContactProblem(Body(lower, materials.neo_hookean(1.0 + rank, 0.3))),
+            "not the same form on",
+        ),
+        "external": (
+            lambda: ContactProblem(Body(lower, law, external=[((0.0, 1.0), ufl.dx)] if here else None)),
+            "not the same form on all ranks",
+        ),
+        "tag": (
+            lambda: ContactProblem(bodies, contacts=[Contact(bottom if here else other, top)]),
+            "contactor of the contact 'contact': 1 on rank 0, 2 on rank 1",
+        ),
+        "quadrature": (
+            lambda: ContactProblem(bodies, contacts=[Contact(bottom, top, quadrature_degree=4 + rank)]),
+            "quadrature_degree of the contact 'contact': 4 on rank 0",
+        ),
+        "rtol": (lambda: NewtonSolver(ContactProblem(bodies), rtol=1e-9 * (1 + rank)), "rtol, max_iterations"),
+    }
+    make, words = makes[what]
+    with pytest.raises(ValueError, match=words):
+        make()
+
+
+def test_forms_over_another_mesh():
+    (lower, _), (upper, _) = squares()
+    law, w = materials.neo_hookean(1.0, 0.3), ufl.TestFunction(lower.function_space)
+    own, foreign = (ufl.Measure("dx", u.function_space.mesh) for u in (lower, upper))
+    for make, words in [
+        (lambda: Body(lower, [(law, foreign)]), "material: an integral over another mesh"),
+        (lambda: Body(lower, law, external=((0.0, 1.0), foreign)), "external: an integral over another mesh"),
+        (lambda: Body(lower, law, external=ufl.inner(upper, w) * own), "external: .* is a Function on another mesh"),
+        (lambda: ContactProblem(law.virtual_work(lower, dx=foreign), lower), "F: an integral over another mesh"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            make()
+
+
+def test_arguments_of_another_kind(shared_path):
+    problem, P = beams(order=1)
+    u, law = problem.u, materials.neo_hookean(1.0, 0.3)
+    built = u.function_space.mesh
+    two = fem.Constant(built, (1.0, 2.0))
+    prescribed = fem.Function(u.function_space)
+    body, pair = Body(u, law, density=1.0), problem.pairs[0]
+
+    def march(load=P, to=1.0, **options):
+        return quasistatic.march(problem, load, to=to, increments=1, **options)
+
+    moving = ContactProblem(dynamics.Motion(body, step=1e-3))
+    for make, words in [
+        (lambda: materials.neo_hookean(two, 0.3), r"E: a Constant of shape \(2,\); must be one number"),
+        (lambda: materials.neo_hookean(1.0, 0.3 * two), r"nu: UFL of shape \(2,\); must be a scalar"),
+        (lambda: Body(u, law, thickness=two), r"thickness: a Constant of shape \(2,\)"),
+        (lambda: Body(u, law, density=[2 * two]), r"density: UFL of shape \(2,\)"),
+        (lambda: march(until=lambda x: True), "pass a function without arguments"),
+        (lambda: next(march(until=lambda: None)), r"until\(\) = None: must return True or False"),
+        (lambda: march(prescribed, lambda x: x[1]), r"interpolate does not take it .* returns \(2, n\) values"),
+        (lambda: dynamics.march(moving, to=1.0, ledger=0), "ledger: int is no Ledger"),
+        (
+            lambda: NewtonSolver(problem, prefix="-contact_"),
+            "prefix = '-contact_': of PETSc's options without their dash",
+        ),
+        (lambda: NewtonSolver(body), r"problem: Body is no ContactProblem; pass ContactProblem\(body, contacts=…\)"),
+        (lambda: quasistatic.march(body, P, to=1.0, increments=1), "problem: Body is no ContactProblem"),
+        (lambda: dynamics.march(body, to=1.0), "problem: Body is no ContactProblem"),
+        (lambda: Checkpoint(problem, shared_path), "directory: ContactProblem is no path"),
+        (lambda: output.picture(problem, 5), "path: int is no path"),
+        (lambda: output.History(problem, shared_path, "load"), "columns = 'load': pass a list of names"),
+        (lambda: output.History(problem, shared_path, ["load", "load"]), "none of them twice"),
+        (
+            lambda: output.History(problem, shared_path, ["load"]).column("x"),
+            r"name = 'x': no column .* known are \['load'\]",
+        ),
+        (lambda: output.Run(problem, shared_path, ["load"], {}), "newton_iterations and wall_time of each step"),
+        (lambda: pair.moment((0.0, 0.0, 0.0)), "about = .*: needs 2 components"),
+        (lambda: loads.pressure(u, 1.0, ufl.dx(built)), "is no measure of facets"),
+        (lambda: ContactProblem(body, [pair.contact]), r"name what follows: contacts=\[…\]"),
+        (lambda: ContactProblem(law.virtual_work(u), u, jacobian=law.virtual_work(u)), "jacobian: must be a bilinear"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            make()
+
+
+def test_a_march_whose_steps_nobody_asks_for():
+    """It solves nothing, and says so; one that has been begun may be left at any step."""
+    problem, P = beams(order=1)
+    said = pytest.warns(monitors.ModelWarning, match="none of its steps was asked for")
+    with said if problem.comm.rank == 0 else nothing():
+        quasistatic.march(problem, P, to=1.0, increments=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        next(quasistatic.march(problem, P, to=1.0, increments=2))
 
 
 @pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own process")
