@@ -27,7 +27,7 @@ from dolfinx_mortar_al.fingerprint import differences, fingerprint
 from dolfinx_mortar_al.ledger import Ledger
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot, check_problem
 from dolfinx_mortar_al.ranks import on_root, together
-from dolfinx_mortar_al.validation import path_of
+from dolfinx_mortar_al.validation import number, path_of
 
 __all__ = ["Checkpoint", "Saved"]
 
@@ -78,9 +78,10 @@ class Checkpoint:
         `checkpoint.json` says for the reader where the run stands; no state is taken from it.
 
         Raises:
+            ValueError: if `at` is no number.
             OSError: on every rank, if it cannot be written; the set saved before stays whole.
         """
-        comm = self._problem.comm
+        comm, at = self._problem.comm, number("at", at)
         if self._serial == 0:  # not gone on with: sets of an earlier run must not outlive this one's first
             for slot in (0, 1):
                 together(comm, partial(self._file(slot).unlink, missing_ok=True))

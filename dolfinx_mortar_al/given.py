@@ -1,8 +1,8 @@
 """What a problem is given from outside and a user may change between solves: numbers, the same on all ranks, and fields.
 
 Constants of the forms and of Dirichlet conditions, friction and poses must be finite and the same on all ranks;
-displacements, prescribed values and other Functions of the forms finite. One reduction says whether they are; what is wrong,
-and where, is looked for only if something is.
+displacements, prescribed values and other Functions of the forms finite; meshes as they were when the problem was made. One
+reduction says whether they are; what is wrong, and where, is looked for only if something is.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ class Given:
 
     def __init__(self, comm: MPI.Comm, bodies: Sequence[BodyForms], pairs: Sequence[ContactPair] = ()) -> None:
         self._comm, self._bodies = comm, bodies
+        self._positions = [body.mesh.geometry.x.copy() for body in bodies]
         #: numbers with what messages call them
         self._numbers: list[tuple[str, Callable[[], Any]]] = []
         for k, body in enumerate(bodies):
@@ -63,17 +64,28 @@ class Given:
         """
         values = np.concatenate([[0.0], *(np.ravel(number()) for _, number in self._numbers)])
         finite = np.isfinite(values)
-        sound = bool(finite.all()) and all(_is_finite(body) for body in self._bodies)
+        sound = bool(finite.all()) and all(_is_finite(body) for body in self._bodies) and not any(self._moved())
         values[~finite] = 0.0
         largest = max_over(self._comm, np.concatenate([[float(not sound)], values, -values]))
         n = len(values)
         if largest[0] > 0:
-            self._say_what_is_no_number()
+            self._say_what_is_wrong()
         if np.any(largest[1 : n + 1] != -largest[n + 1 :]):
             for name, number in self._numbers:
                 agreed(self._comm, name, np.asarray(number()).tolist())
 
-    def _say_what_is_no_number(self) -> None:
+    def _moved(self) -> list[bool]:
+        """Whether the nodes of each body's mesh are elsewhere on this rank than when the problem was made."""
+        pairs = zip(self._bodies, self._positions, strict=True)
+        return [not np.array_equal(body.mesh.geometry.x, x) for body, x in pairs]
+
+    def _say_what_is_wrong(self) -> None:
+        for k, moved in enumerate(self._moved()):
+            if any_over(self._comm, moved):
+                raise ValueError(
+                    f"the mesh of u[{k}] has been changed since the problem was made: move bodies by their displacement, or "
+                    "make the problem anew"
+                )
         for name, number in self._numbers:
             value = np.ravel(number())
             if any_over(self._comm, not np.isfinite(value).all()):

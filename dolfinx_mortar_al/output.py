@@ -22,7 +22,7 @@ from dolfinx_mortar_al.contact_fields import ContactorFunctions
 from dolfinx_mortar_al.picture import picture
 from dolfinx_mortar_al.problem import ContactProblem, check_problem
 from dolfinx_mortar_al.ranks import on_root, together
-from dolfinx_mortar_al.validation import check_columns, path_of, vector
+from dolfinx_mortar_al.validation import check_columns, number, path_of, vector
 
 __all__ = ["History", "ParaView", "Probe", "Run", "deformed_cells", "extent", "picture", "summary"]
 
@@ -53,7 +53,8 @@ class History:
         check_problem(problem)
         self.columns, self.comm = check_columns(columns), problem.comm
         self.path = path_of("directory", directory) / "history.csv"
-        self.rows: list[dict[str, float]] = on_root(self.comm, lambda: self._open(resume))
+        last = None if resume is None else number("resume", resume)
+        self.rows: list[dict[str, float]] = on_root(self.comm, lambda: self._open(last))
 
     def _open(self, resume: float | None) -> list[dict[str, float]]:
         """Start the file with the rows to keep."""

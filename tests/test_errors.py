@@ -516,6 +516,14 @@ def test_what_is_changed_between_steps_to_no_number(name, words, wrong):
         next(quasistatic.march(given["problem"], given["P"], to=1.0, increments=1))
 
 
+def test_a_mesh_that_is_moved_after_the_problem_was_made():
+    march, given = pulled_square()
+    next(march)
+    given["u"].function_space.mesh.geometry.x[:] *= 1e-3
+    with pytest.raises(ValueError, match=r"mesh of u\[0\] has been changed since"):
+        next(march)
+
+
 @pytest.mark.parametrize(
     "options, words", [({"start": np.nan}, r"u\[0\] "), ({"value": (0.0, np.inf)}, "condition 1 of")]
 )
@@ -687,6 +695,8 @@ def test_arguments_of_another_kind(shared_path):
             r"name = 'x': no column .* known are \['load'\]",
         ),
         (lambda: output.Run(problem, shared_path, ["load"], {}), "newton_iterations and wall_time of each step"),
+        (lambda: output.History(problem, shared_path, ["load"], resume="x"), "resume = 'x': must be a number"),
+        (lambda: Checkpoint(shared_path, problem).save("x"), "at = 'x': must be a number"),
         (lambda: pair.moment((0.0, 0.0, 0.0)), "about = .*: needs 2 components"),
         (lambda: loads.pressure(u, 1.0, ufl.dx(built)), "is no measure of facets"),
         (lambda: ContactProblem(body, [pair.contact]), r"name what follows: contacts=\[…\]"),
