@@ -136,7 +136,8 @@ def march(
     return March(_steps(_TimeControl(problem, way, move or _stay, solver, ledger, event), progress), problem.comm.rank)
 
 
-def _steps(control: _TimeControl, progress: bool) -> Generator[Step]:
+def _steps(control: _TimeControl, progress: bool) -> Generator[Step, None, None]:
+    control.problem.given.check()
     try:
         with Bar(control.problem, progress) as bar:
             yield from stepping.run(control, bar)

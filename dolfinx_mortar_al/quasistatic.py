@@ -184,12 +184,13 @@ def follow(
     return March(_follow(control, begin, progress), problem.comm.rank)
 
 
-def _steps(control: Controller[Step], progress: bool) -> Generator[Step]:
+def _steps(control: Controller[Step], progress: bool) -> Generator[Step, None, None]:
+    control.problem.given.check()
     with Bar(control.problem, progress) as bar:
         yield from stepping.run(control, bar)
 
 
-def _follow(control: _PathControl, start: float | None, progress: bool) -> Generator[Step]:
+def _follow(control: _PathControl, start: float | None, progress: bool) -> Generator[Step, None, None]:
     """The first step with a given load, and those along the path."""
     problem, load, first = control.problem, control.load, control.first
     if start is not None:

@@ -141,7 +141,6 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
     """
     reporter = Reporter(control.problem.comm.rank)
     size, leg, closing_in = 1.0, control.leg, False
-    control.problem.given.check()
     control.begin()
     iterations, clock = 0, perf_counter()
     reasons: list[str] = []
@@ -177,7 +176,7 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
         iterations, reasons, clock = 0, [], perf_counter()
 
 
-class March(Iterator[S]):
+class March(Generator[S, None, None]):
     """The steps of a march, each taken when it is asked for; where none was asked for at all, that is said in the end.
 
     Args:
@@ -185,12 +184,18 @@ class March(Iterator[S]):
         rank: 0 says it.
     """
 
-    def __init__(self, steps: Generator[S], rank: int) -> None:
+    def __init__(self, steps: Generator[S, None, None], rank: int) -> None:
         self._steps, self._asked = steps, rank != 0
 
-    def __next__(self) -> S:
+    def send(self, value: None) -> S:
+        """The next step."""
         self._asked = True
-        return next(self._steps)
+        return self._steps.send(value)
+
+    def throw(self, *error: Any) -> S:
+        """End the march with an error."""
+        self._asked = True
+        return self._steps.throw(*error)
 
     def close(self) -> None:
         """End the march where it is."""
@@ -198,7 +203,7 @@ class March(Iterator[S]):
         self._steps.close()
 
     def __del__(self) -> None:
-        if not self._asked:
+        if not self._asked and not sys.is_finalizing():
             warnings.warn(
                 "march: none of its steps was asked for, so that nothing was solved: write for step in march(…)",
                 ModelWarning,
