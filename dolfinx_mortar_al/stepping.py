@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
@@ -186,6 +187,11 @@ class March(Generator[S, None, None]):
 
     def __init__(self, steps: Generator[S, None, None], rank: int) -> None:
         self._steps, self._asked = steps, rank != 0
+        weakref.finalize(self, steps.close)  # where the program ends first: before PETSc does
+
+    def __next__(self) -> S:
+        self._asked = True
+        return next(self._steps)
 
     def send(self, value: None) -> S:
         """The next step."""

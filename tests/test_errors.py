@@ -718,6 +718,18 @@ def test_a_march_whose_steps_nobody_asks_for():
 
 
 @pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own process")
+def test_a_program_that_ends_within_a_march():
+    """It ends as it would without: the march does not outlive PETSc."""
+    script = (
+        "from scenes import beams\nfrom dolfinx_mortar_al import quasistatic\nproblem, P = beams(order=1)\n"
+        "march = quasistatic.march(problem, P, to=1.0, increments=2, progress=True)\nnext(march)"
+    )
+    subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, timeout=60, cwd=Path(__file__).parent, check=True
+    )
+
+
+@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own process")
 @pytest.mark.parametrize("solve", [False, True])
 def test_options_that_nothing_reads(solve):
     """A misspelt option is named; of options that the user has not set PETSc says nothing at its end."""
