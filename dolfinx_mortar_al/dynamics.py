@@ -105,8 +105,8 @@ def march(
         progress: show a progress bar with time, iterations and contact state (rank 0, standard error).
 
     Raises:
-        ValueError: at the call: `to` not after `start`, a tolerance that is not positive, or a problem with a body that is no
-            motion.
+        ValueError: at the call: `to` not after `start`, a tolerance that is not positive, a problem with a body that is no
+            motion, or a motion without mass.
         StepFailure: on every rank, in a step.
     """
     check_problem(problem)
@@ -131,6 +131,8 @@ def march(
             f"ledger: {type(ledger).__name__} is no Ledger; pass that of the last step of an earlier march"
         )
     event, solver = Event(problem.comm, until), stepping.solver_of(problem, solver, rtol=RTOL)
+    for k, motion in enumerate(motions):  # a density may be a Function
+        validation.number(f"mass of motion {k} (kg)", motion.mass, above=0.0, must="its density must make it")
     validation.check_kinetic(sum(motion.kinetic_energy() for motion in motions))
     way = _Way(start, to, float(motions[0].time_step.value), tolerance, smallest)
     return March(_steps(_TimeControl(problem, way, move or _stay, solver, ledger, event), progress), problem.comm.rank)

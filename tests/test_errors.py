@@ -706,6 +706,18 @@ def test_arguments_of_another_kind(shared_path):
             make()
 
 
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
+def test_a_density_that_makes_no_mass(value):
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
+    u, ρ = (fem.Function(fem.functionspace(domain, kind)) for kind in (("Lagrange", 1, (2,)), ("DG", 0)))
+    ρ.x.array[:] = value
+    motion = dynamics.Motion(Body(u, materials.neo_hookean(1.0, 0.3), density=ρ), step=1e-3)
+    with pytest.raises(
+        ValueError, match=r"mass of motion 0 \(kg\) = .*: its density must make it a number > 0|Function"
+    ):
+        dynamics.march(ContactProblem(motion), to=1e-3)
+
+
 def test_a_march_whose_steps_nobody_asks_for():
     """It solves nothing, and says so; one that has been begun may be left at any step."""
     problem, P = beams(order=1)
