@@ -26,8 +26,8 @@ from dolfinx_mortar_al.petsc_blocks import Layout
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
-from dolfinx_mortar_al.validation import check_cells, check_residual, compiled, listed
-from dolfinx_mortar_al.versions import geometry_degree, whole_form
+from dolfinx_mortar_al.validation import check_cells, check_residual, check_space, compiled, listed
+from dolfinx_mortar_al.versions import whole_form
 
 __all__ = ["Bodies", "BodyForms"]
 
@@ -51,12 +51,18 @@ class BodyForms:
         foreseen: ForeseenPressure | None = None,
     ) -> None:
         self.u, self.space, self.mesh = u, u.function_space, u.function_space.mesh
-        _check_space(u)
+        check_space(u)
         check_cells(self.mesh)
         check_residual(F, u)
         self.bcs = list(bcs)
-        self.foreseen = foreseen if jacobian is None else None
+        if len(set(self.mesh.comm.allgather(F.signature()))) > 1:
+            raise ValueError(
+                "F: not the same form on all ranks: is a material, load or number in it made on each alone?"
+            )
         J = ufl.derivative(F, u) if jacobian is None else jacobian
+        if not isinstance(J, ufl.Form) or len(J.arguments()) != 2:
+            raise ValueError("jacobian: must be a bilinear UFL form; leave it out for the derivative of F")
+        self.foreseen = foreseen if jacobian is None else None
         if self.foreseen is not None:
             J += self.foreseen.form
         self.F, self.J = (compiled(whole_form(form, self.mesh), F) for form in (F, J))
@@ -64,6 +70,8 @@ class BodyForms:
         #: the residual's Constants, and what they were when the problem was made
         self.constants = list(F.constants())
         self.constant_values = [np.array(c.value) for c in self.constants]
+        #: the residual's Functions but u
+        self.fields = [c for c in F.coefficients() if isinstance(c, fem.Function) and c is not u]
         self._inverted = fem.form(self._inversion_indicator())
         #: (nodes,) the connected piece of the mesh that each node belongs to, ghosts included; how many there are
         self.piece, self.pieces = pieces_of(self.space)
@@ -193,6 +201,7 @@ class Bodies:
             raise ValueError(f"u: bodies in spaces of dimension {[V.mesh.geometry.dim for V in spaces]}")
         self.comm: MPI.Intracomm = spaces[0].mesh.comm
         bcs = listed("bcs", bcs, fem.DirichletBC, "a Dirichlet condition")
+        agreed(self.comm, "bcs: how many", len(bcs))
         own = [[bc for bc in bcs if V._cpp_object.contains(bc.function_space)] for V in spaces]
         if sum(map(len, own)) != len(bcs):
             raise ValueError("bcs: a Dirichlet condition is on a space of none of the displacements u")
@@ -288,25 +297,6 @@ class Bodies:
         """The displacements are those of a converged state, from which solves begin."""
         for body in self.bodies:
             body.begin()
-
-    def check_constants(self) -> None:
-        """The forms' Constants, such as a load, must be numbers, the same on all ranks (collective).
-
-        Raises:
-            ValueError: on every rank.
-        """
-        for k, body in enumerate(self.bodies):
-            values = np.concatenate([[0.0], *(np.ravel(c.value) for c in body.constants)])
-            if any_over(self.comm, not np.isfinite(values).all()):
-                raise ValueError(
-                    f"a Constant in the form of u[{k}], such as a load, has the value {values[~np.isfinite(values)]}: "
-                    "give it a finite number"
-                )
-            agreed(
-                self.comm,
-                f"the values of the Constants in the form of u[{k}]",
-                [c.value.tolist() for c in body.constants],
-            )
 
     def lacks_stiffness(self, diagonals: Sequence[fem.Function]) -> bool:
         """Whether a displacement that is not prescribed meets next to no stiffness (collective); see `stiffness`."""
@@ -514,24 +504,3 @@ class Bodies:
         scale.array[:] = np.sqrt(scale.array_r / np.where(own.array_r > 0, own.array_r, np.inf))
         total.diagonalScale(scale, scale)
         return total
-
-
-def _check_space(u: fem.Function) -> None:
-    V = u.function_space
-    if u.dtype != np.float64 or V.mesh.geometry.x.dtype != np.float64:
-        raise ValueError(f"u: {u.dtype} on a mesh of {V.mesh.geometry.x.dtype}; contact needs both in float64")
-    if V.num_sub_spaces and not V.dofmap.index_map_bs > 1:
-        raise ValueError("u: a mixed element; pass the displacement as a Function of a space of its own")
-    domain, element = V.mesh, V.element.basix_element
-    d, tdim = domain.geometry.dim, domain.topology.dim
-    if tdim not in (d, d - 1):
-        raise ValueError(f"a mesh of dimension {tdim} in space of dimension {d}: neither a body nor a membrane")
-    if V.dofmap.index_map_bs != d:
-        raise ValueError(f"u has {V.dofmap.index_map_bs} components on a mesh in space of dimension {d}")
-    if element.family.name != "P" or element.degree not in (1, 2) or element.discontinuous:
-        raise ValueError(f"u: {V.ufl_element()} is not a continuous Lagrange element of order 1 or 2")
-    if geometry_degree(domain) > element.degree:
-        raise ValueError(
-            f"u has order {element.degree} on a mesh of order {geometry_degree(domain)}: "
-            "take u at least of the mesh's order"
-        )

@@ -18,6 +18,7 @@ from ufl.core.expr import Expr
 from dolfinx_mortar_al.foreseen_pressure import ForeseenPressure
 from dolfinx_mortar_al.materials import Hyperelastic, cell_measure
 from dolfinx_mortar_al.membrane import NeoHookeanMembrane
+from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.validation import (
     check_external,
@@ -25,6 +26,7 @@ from dolfinx_mortar_al.validation import (
     check_linear,
     check_measures,
     check_residual,
+    check_space,
     listed,
     positive_or_ufl,
     vector,
@@ -102,6 +104,7 @@ class Body:
     ) -> None:
         if not isinstance(u, fem.Function):
             raise ValueError(f"u: {type(u).__name__} is not a Function; pass the displacement")
+        check_space(u)
         self.u, self.thickness = u, positive_or_ufl("thickness", thickness)
         self.bcs, self.density = _conditions(bcs, u), density
         self.external = _virtual_work(external, u, self.width)
@@ -221,6 +224,7 @@ def _cell_tags(forms: Sequence[ufl.Form]) -> Any:
 
 def _conditions(bcs: Any, u: fem.Function) -> list[fem.DirichletBC]:
     conditions = listed("bcs", bcs, fem.DirichletBC, "a Dirichlet condition")
+    agreed(u.function_space.mesh.comm, "bcs: how many", len(conditions))  # on ranks without a node of it, too
     for k, bc in enumerate(conditions):
         if not u.function_space._cpp_object.contains(bc.function_space):
             raise ValueError(f"bcs[{k}]: a Dirichlet condition on another space than u's; pass it to its own body")

@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.fingerprint import differences, fingerprint
 from dolfinx_mortar_al.ledger import Ledger
-from dolfinx_mortar_al.problem import ContactProblem, Snapshot
+from dolfinx_mortar_al.problem import ContactProblem, Snapshot, check_problem
 from dolfinx_mortar_al.ranks import on_root, together
+from dolfinx_mortar_al.validation import number, path_of
 
 __all__ = ["Checkpoint", "Saved"]
 
@@ -54,10 +55,12 @@ class Checkpoint:
 
     Raises:
         OSError: on every rank, if the directory cannot be made.
+        ValueError: if it is no path, or `problem` no problem.
     """
 
     def __init__(self, directory: Path | str, problem: ContactProblem) -> None:
-        self._directory, self._problem = Path(directory), problem
+        self._directory, self._problem = path_of("directory", directory), problem
+        check_problem(problem)
         if problem.motions:  # what a step keeps at points is part of the state that is loaded
             for pair in problem.pairs:
                 pair.use_steps()
@@ -75,9 +78,10 @@ class Checkpoint:
         `checkpoint.json` says for the reader where the run stands; no state is taken from it.
 
         Raises:
+            ValueError: if `at` is no number.
             OSError: on every rank, if it cannot be written; the set saved before stays whole.
         """
-        comm = self._problem.comm
+        comm, at = self._problem.comm, number("at", at)
         if self._serial == 0:  # not gone on with: sets of an earlier run must not outlive this one's first
             for slot in (0, 1):
                 together(comm, partial(self._file(slot).unlink, missing_ok=True))

@@ -7,8 +7,9 @@ points (`integration`), their kinematics (`kinematics`), the law (`law`), the ac
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from dolfinx_mortar_al.corners import SharpCorners
 from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, degrees_on, segment_degree
 from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
 from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, Coulomb, Frictionless, LawState, augmented_normal
-from dolfinx_mortar_al.monitors import Finding
+from dolfinx_mortar_al.monitors import Finding, ModelWarning
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.pair_findings import PairFindings
@@ -51,6 +52,7 @@ FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness 
 RIPPLING = 2 * np.pi  # slope of a wave as long as a facet, over its amplitude in facets
 OWN = 0.5  # of the bulk's stiffness holds such waves, whatever contact does (docs/newton.md)
 FIRMEST = 12.0  # the same for ε_N in time steps: by p/ε_N, less than 1 % of a facet, do partly closed facets overlap
+ROUGHEST = 5.0  # a friction coefficient beyond that of rubber: on a plane that rises by 79° nothing would slide
 NEAR = 2.0  # of the target's facets: gaps that may close in a step
 FAR = 100.0  # times more or less than by default: where Newton has been seen to fail for ε
 DEPENDS = (
@@ -106,12 +108,12 @@ class Contact:
             object.__setattr__(self, label, value)  # frozen for the user
 
         if isinstance(self.friction, fem.Constant):
-            _coefficient(constant_value(self.friction))
+            _coefficient(constant_value(self.friction, "friction"))
         else:
             keep("friction", _coefficient(self.friction))
         must = "leave it out for the default, or pass"
         for label in ("epsilon_normal", "epsilon_tangential", "thickness"):
-            value = constant_value(getattr(self, label))
+            value = constant_value(getattr(self, label), label)
             if value is not None:
                 keep(label, number(label, value, above=0.0, must=must))
         if self.quadrature_degree is not None:
@@ -145,6 +147,13 @@ class Contact:
             raise ValueError(
                 f"contactor and target are the same surface (tag {a.tag}): leave the target out for contact with itself"
             )
+
+    @property
+    def said(self) -> dict[str, Any]:
+        """What is to be the same on all ranks, by the name of the argument."""
+        plain = {field.name: getattr(self, field.name) for field in fields(self)}
+        shown = {"friction": constant_value(self.friction), "contactor": self.contactor.tag, "target": self.target_name}
+        return plain | shown
 
     @property
     def target_name(self) -> str:
@@ -205,6 +214,7 @@ class ContactPair(PairFindings):
         self.holds_points = False
         self.segments = self._make_segments()
         self._bodies = bodies
+        self._doubted = False
         self._unfelt: Unfelt | None = None  # impact does without
 
     # ---------------------------------------------------------------- set-up
@@ -400,6 +410,17 @@ class ContactPair(PairFindings):
         """Coulomb's coefficient as it is now."""
         return _coefficient(constant_value(self.contact.friction))
 
+    def _doubt(self, μ: float) -> None:
+        """Say once of a coefficient that it is more than that of any surfaces, on rank 0."""
+        if μ > ROUGHEST and not self._doubted and self.comm.rank == 0:
+            warnings.warn(
+                f"{self.name}: friction = {μ:g}: of steel it is 0.1 to 0.8, rubber reaches 4; 30 % are written 0.3, an angle "
+                "of friction φ is np.tan(φ). The march goes on with it, and next to nothing will slide",
+                ModelWarning,
+                stacklevel=2,
+            )
+        self._doubted |= μ > ROUGHEST
+
     def start(self) -> None:
         """Project for the first time; slip is counted from the present state. Points that touch count as closed.
 
@@ -483,6 +504,7 @@ class ContactPair(PairFindings):
         """A new solve."""
         if isinstance(self.law, Coulomb):
             self.law = replace(self.law, μ=self.friction_coefficient)
+            self._doubt(self.law.μ)
         self._hold_flat()
         self._divide()
         self.active.begin(self._converged.closed[self.integration.facet])

@@ -11,7 +11,7 @@ is 𝐮_{n+1}: bodies, contact pairs and Newton are those of statics.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,10 +23,10 @@ from dolfinx_mortar_al.ledger import Ledger
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.newton import NewtonSolver
-from dolfinx_mortar_al.problem import ContactProblem, Snapshot
+from dolfinx_mortar_al.problem import ContactProblem, Snapshot, check_problem
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
-from dolfinx_mortar_al.stepping import Attempt, Bar, Controller, Event, StepFailure
+from dolfinx_mortar_al.stepping import Attempt, Bar, Controller, Event, March, StepFailure
 from dolfinx_mortar_al.velocity_projection import VelocityProjection
 
 __all__ = ["Ledger", "Motion", "Step", "StepFailure", "march"]
@@ -105,10 +105,11 @@ def march(
         progress: show a progress bar with time, iterations and contact state (rank 0, standard error).
 
     Raises:
-        ValueError: at the call: `to` not after `start`, a tolerance that is not positive, or a problem with a body that is no
-            motion.
+        ValueError: at the call: `to` not after `start`, a tolerance that is not positive, a problem with a body that is no
+            motion, or a motion without mass.
         StepFailure: on every rank, in a step.
     """
+    check_problem(problem)
     motions = problem.motions
     validation.check_motions(motions, len(problem.bodies.bodies))
     if move is not None:
@@ -125,13 +126,20 @@ def march(
     θ = {motion.theta for motion in motions}
     if len(θ) > 1:
         raise ValueError(f"theta = {sorted(θ)}: all motions of a problem need the same θ")
+    if not isinstance(ledger, Ledger | None):
+        raise ValueError(
+            f"ledger: {type(ledger).__name__} is no Ledger; pass that of the last step of an earlier march"
+        )
     event, solver = Event(problem.comm, until), stepping.solver_of(problem, solver, rtol=RTOL)
+    for k, motion in enumerate(motions):  # a density may be a Function
+        validation.number(f"mass of motion {k} (kg)", motion.mass, above=0.0, must="its density must make it")
     validation.check_kinetic(sum(motion.kinetic_energy() for motion in motions))
     way = _Way(start, to, float(motions[0].time_step.value), tolerance, smallest)
-    return _steps(_TimeControl(problem, way, move or _stay, solver, ledger, event), progress)
+    return March(_steps(_TimeControl(problem, way, move or _stay, solver, ledger, event), progress), problem.comm.rank)
 
 
-def _steps(control: _TimeControl, progress: bool) -> Iterator[Step]:
+def _steps(control: _TimeControl, progress: bool) -> Generator[Step, None, None]:
+    control.problem.given.check()
     try:
         with Bar(control.problem, progress) as bar:
             yield from stepping.run(control, bar)

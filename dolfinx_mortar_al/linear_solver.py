@@ -11,9 +11,7 @@ All options are PETSc's, under the solver's prefix (default ``contact_``), but o
 from __future__ import annotations
 
 import logging
-import sys
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 from mpi4py import MPI
@@ -25,6 +23,7 @@ from dolfinx_mortar_al.contact_patch import PATCH_DEFAULTS
 from dolfinx_mortar_al.multigrid import MULTIGRID_DEFAULTS
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.reductions import min_over
+from dolfinx_mortar_al.solver_options import Option, SolverOptions
 
 __all__ = ["LinearSolver"]
 
@@ -44,7 +43,6 @@ SLOWER = 10.0  # times that an operation of a solve takes as long as one of a fa
 
 log = logging.getLogger(__name__)
 _Reason = PETSc.KSP.ConvergedReason
-Option = str | float
 
 
 class LinearSolver:
@@ -56,16 +54,13 @@ class LinearSolver:
 
     Attributes:
         iterative: whether FGMRES does it.
+        options: PETSc's; a context of all solves.
         solves, iterations: of FGMRES so far.
         failures: times that MUMPS had to take over.
     """
 
-    #: options that are defaults of ours, not the user's: PETSc keeps them from one solver to the next
-    _defaulted: ClassVar[set[str]] = set()
-
     def __init__(self, problem: ContactProblem, prefix: str) -> None:
-        self.problem, self._prefix = problem, prefix
-        _read_command_line(prefix)
+        self.problem, self._prefix, self.options = problem, prefix, SolverOptions(prefix)
         self.iterative = problem.spare_pattern = self._choose()
         self._workspace = WORKSPACE
         self.iterations = self.solves = self.failures = 0
@@ -87,7 +82,7 @@ class LinearSolver:
         solids = [body for body in self.problem.bodies.bodies if body.mesh.topology.dim == 3]
         spread = [body.space.dofmap for body in solids]
         unknowns = sum(dofmap.index_map.size_global * dofmap.index_map_bs for dofmap in spread)
-        return unknowns > ITERATIVE_ABOVE and (not options.hasName("pc_type") or self._is_ours("pc_type"))
+        return unknowns > ITERATIVE_ABOVE and not options.hasName("pc_type")
 
     # ---------------------------------------------------------------- options
 
@@ -98,11 +93,11 @@ class LinearSolver:
             self._configure_iterative(ksp)
         else:
             _factorise(ksp)
-            self._default("", self._mumps_defaults())
+            self.options.default("", self._mumps_defaults())
 
     def _configure_iterative(self, ksp: PETSc.KSP) -> None:
-        self._default("", MULTIGRID_DEFAULTS)
-        self._default(SURFACE, PATCH_DEFAULTS)
+        self.options.default("", MULTIGRID_DEFAULTS)
+        self.options.default(SURFACE, PATCH_DEFAULTS)
         self._blocks = BlockPreconditioner(self.problem, self._prefix)
         ksp.setType("fgmres")
         ksp.setGMRESRestart(RESTART)
@@ -120,17 +115,6 @@ class LinearSolver:
         said["mat_mumps_icntl_14"] = self._workspace
         return said | ({"mat_mumps_icntl_7": 2} if self.problem.gdim == 2 else {})
 
-    def _is_ours(self, name: str) -> bool:
-        return self._prefix + name in self._defaulted
-
-    def _default(self, part: str, values: dict[str, Option]) -> None:
-        """Set options that the user has not set."""
-        options = PETSc.Options(self._prefix)
-        for name, value in values.items():
-            if not options.hasName(part + name) or self._is_ours(part + name):
-                options[part + name] = value
-                self._defaulted.add(self._prefix + part + name)
-
     def unsuitable(self) -> str:
         """What the options ask for that PETSc cannot do."""
         pc = self._ksp.getPC()
@@ -141,6 +125,11 @@ class LinearSolver:
             f"options of the prefix {self._prefix}: {asked} is not known, or does not take a matrix of blocks (MATNEST); "
             "MUMPS does, with or without a Krylov method around it"
         )
+
+    def say_unread(self) -> None:
+        """Warn of options of the user that nothing reads, once the first solve is done. What takes over where an iterative
+        solver fails, and contact's patch, are needed by some solves only."""
+        self.options.say_unread(("direct_", SURFACE), self.problem.comm.rank)
 
     # ---------------------------------------------------------------- solves
 
@@ -180,8 +169,8 @@ class LinearSolver:
     def _factorised(self) -> PETSc.KSP:
         """MUMPS, which may take as much memory as is free."""
         if self._direct is None:
-            self._default("direct_", self._mumps_defaults())
-            self._default("direct_", {"mat_mumps_icntl_23": int(SHARE * _free_memory(self.problem.comm))})
+            self.options.default("direct_", self._mumps_defaults())
+            self.options.default("direct_", {"mat_mumps_icntl_23": int(SHARE * _free_memory(self.problem.comm))})
             self._direct = PETSc.KSP().create(self.problem.comm)
             self._direct.setOptionsPrefix(self._prefix + "direct_")
             _factorise(self._direct)
@@ -223,7 +212,11 @@ class LinearSolver:
 
     def _apply_factors(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         if not self.iterative:
-            self._ksp.getPC().getFactorMatrix().solve(b, x)
+            pc = self._ksp.getPC()
+            if pc.getType() == "lu":  # as they are, whatever the matrix has become
+                pc.getFactorMatrix().solve(b, x)
+            else:
+                pc.apply(b, x)
             self.add_ties(x)
         else:
             self._factorised().getPC().getFactorMatrix().solve(b, x)
@@ -271,7 +264,7 @@ class LinearSolver:
             self._blocks.renew_contact(matrix.getNestSubMatrix(0, 0))
         elif self.is_solid and self.problem.bodies.layout.sizes[1] > PATCHED_ABOVE:
             if self._patched is None:
-                self._default(SURFACE, PATCH_DEFAULTS)
+                self.options.default(SURFACE, PATCH_DEFAULTS)
                 self._patched = PatchedFactors(self.problem, self._prefix, self._apply_factors)
             self._patched.renew_contact(matrix.getNestSubMatrix(0, 0))
             self._is_patched = True
@@ -326,13 +319,3 @@ def _free_memory(comm: MPI.Intracomm) -> float:
     least = min_over(comm, free / node.size)
     node.Free()
     return float(least)
-
-
-def _read_command_line(prefix: str) -> None:
-    """Hand PETSc this prefix's options from the command line: DOLFINx starts PETSc without it."""
-    mine = []
-    for word, following in zip(sys.argv[1:], [*sys.argv[2:], "-"], strict=False):
-        if word.startswith(f"-{prefix}"):
-            is_value = not following.startswith("-") or following.lstrip("-")[:1].isdigit()
-            mine += [word, following] if is_value else [word]
-    PETSc.Options().insertString(" ".join(mine))

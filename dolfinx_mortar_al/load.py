@@ -17,7 +17,8 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.validation import check_callable, number
+from dolfinx_mortar_al.ranks import together
+from dolfinx_mortar_al.validation import check_callable, check_scalar, number
 
 __all__ = ["Load", "Loads", "Movable"]
 
@@ -129,7 +130,13 @@ class _FunctionLoad(Load):
                     f"{name} = {to}: the load is a Function; pass a Function of its space, or what interpolate takes"
                 )
             aim = fem.Function(V)
-            aim.interpolate(to)
+            try:
+                together(V.mesh.comm, lambda: aim.interpolate(to))
+            except (RuntimeError, TypeError, ValueError) as error:
+                raise ValueError(
+                    f"{name} = {to}: interpolate does not take it ({error}); it is called with X (3, n) and returns "
+                    f"({V.dofmap.index_map_bs}, n) values"
+                ) from error
             aim.x.scatter_forward()
         elif to.function_space != V:
             raise ValueError(f"{name}: a Function of another space than the load's")
@@ -178,6 +185,8 @@ class Loads:
 
     def _add(self, source: Any, name: str) -> Load:
         new: Load
+        if isinstance(source, fem.Constant | fem.Function):
+            check_scalar(name, source)
         if isinstance(source, fem.Constant):
             new = _ConstantLoad(source)
         elif isinstance(source, fem.Function):

@@ -52,9 +52,9 @@ class LoadWatch:
         changed = not np.array_equal(self._before, self._state(), equal_nan=True)
         self._felt = any_over(self._problem.comm, changed)
         if self._at_once:
-            self.report(6)
+            self.report(7)
 
-    def report(self, stacklevel: int = 5) -> None:
+    def report(self, stacklevel: int = 6) -> None:
         """Warn, on rank 0, if no setting of the load has changed anything; the march's caller is that many calls away."""
         if not self._felt and self._problem.comm.rank == 0:
             warnings.warn(

@@ -47,7 +47,13 @@ def area_normal(u: fem.Function) -> Expr:
 
 
 def pressure(u: fem.Function, p: Expr, ds: ufl.Measure) -> Any:
-    """−∫ p 𝐧·v da = −∫ p det 𝐅 𝐅⁻ᵀ𝐍·v dS₀: a follower pressure p (Pa × thickness) on facets, against their outward side."""
+    """−∫ p 𝐧·v da = −∫ p det 𝐅 𝐅⁻ᵀ𝐍·v dS₀: a follower pressure p (Pa × thickness) on facets, against their outward side.
+
+    Raises:
+        ValueError: if `ds` is no measure of facets.
+    """
+    if not isinstance(ds, ufl.Measure) or ds.integral_type() != "exterior_facet":
+        raise ValueError(f"ds: {ds} is no measure of facets; pass ufl.Measure('ds', mesh, subdomain_data=tags)(tag)")
     return -p * ufl.inner(area_normal(u), ufl.TestFunction(u.function_space)) * ds
 
 

@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinx_mortar_al.validation import check_law, constant_value, number, positive_or_ufl
+from dolfinx_mortar_al.validation import check_law, constant_value, is_ufl, number, positive_or_ufl
 
 __all__ = [
     "SERIES",
@@ -63,9 +63,9 @@ def lame(E: Any, ν: Any) -> tuple[Any, Any]:
     Raises:
         ValueError: on numbers out of range; a UFL expression has none to look at.
     """
-    if not isinstance(constant_value(E), Expr):
+    if not is_ufl("E", constant_value(E, "E")):
         number("E", constant_value(E), above=0.0, must="Young's modulus (Pa) must be")
-    if not isinstance(constant_value(ν), Expr):
+    if not is_ufl("nu", constant_value(ν, "nu")):
         number("nu", constant_value(ν), above=-1.0, below=0.5, must="Poisson's ratio must be")
     return E / (2 * (1 + ν)), E * ν / ((1 + ν) * (1 - 2 * ν))
 

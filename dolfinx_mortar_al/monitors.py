@@ -72,7 +72,7 @@ class Reporter:
                 continue
             self._reported[finding.name] = finding.value
             if self._rank == 0:
-                warnings.warn(f"at {when}: {finding}", ModelWarning, stacklevel=4)
+                warnings.warn(f"at {when}: {finding}", ModelWarning, stacklevel=5)  # the march's caller
 
 
 class Monitor:

@@ -17,7 +17,8 @@ from dolfinx_mortar_al.contact_iteration import ContactIteration
 from dolfinx_mortar_al.linear_solver import EXTERNAL, LinearSolver
 from dolfinx_mortar_al.load import Load
 from dolfinx_mortar_al.places import Places
-from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.problem import ContactProblem, check_problem
+from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.ties import Bearing
 from dolfinx_mortar_al.validation import number, whole
@@ -101,8 +102,10 @@ class NewtonSolver:
     def __init__(
         self, problem: ContactProblem, *, rtol: float = 1e-9, max_iterations: int = 80, prefix: str = "contact_"
     ) -> None:
+        check_problem(problem)
         self.problem, self.rtol = problem, number("rtol", rtol, above=0.0, below=1.0)
         self._max_iterations, self._prefix = whole("max_iterations", max_iterations, least=1), prefix
+        agreed(problem.comm, "rtol, max_iterations", (self.rtol, self._max_iterations))
         self.linear = LinearSolver(problem, prefix)
         self.contact_iteration = ContactIteration(problem, self.linear, self._size, LONGEST)
         self.snes = self._create()
@@ -121,10 +124,9 @@ class NewtonSolver:
         snes.setLineSearchPreCheck(self._guard)
         self.linear.configure(snes.getKSP())
         # Full steps, guarded: with changes of contact state the norm of the residual says little about progress.
-        options = PETSc.Options(prefix)
-        if not options.hasName("snes_linesearch_type"):
-            options["snes_linesearch_type"] = "basic"
-        snes.setFromOptions()
+        self.linear.options.default("", {"snes_linesearch_type": "basic"})
+        with self.linear.options:
+            snes.setFromOptions()
         return snes
 
     def solve(self, path: Path | None = None) -> NewtonResult:
@@ -132,8 +134,15 @@ class NewtonSolver:
 
         With `path` the load is an unknown too, and the present displacements are the prediction of the path.
         """
+        self.problem.given.check()
+        with self.linear.options:
+            result = self._solve(path)
+        self.linear.say_unread()
+        return result
+
+    def _solve(self, path: Path | None) -> NewtonResult:
+        """Solve, with PETSc's options in place."""
         p, self._path = self.problem, path
-        p.bodies.check_constants()
         self.linear.begin()
         self.result = NewtonResult()
         self._patterns: list[int] = []
@@ -474,8 +483,8 @@ class NewtonSolver:
         if p.floating:
             rub = "" if all(pair.friction > 0 for pair in p.pairs) else "add friction, "
             parts.append(
-                f"{' and '.join(p.unheld())}: if it may slide or roll off, press it on, prescribe the motion that is free "
-                f"(of one node, along the surface), {rub}or let it move with dynamics.march"
+                f"{' and '.join(p.unheld())}: if it may slide or roll off, or a load pulls it away (its sign?), press it on, "
+                f"prescribe the motion that is free (of one node, along the surface), {rub}or let it move with dynamics.march"
             )
         elif far := [
             f"{pair.name}: {name} = {ratio * pair.unit:.3g} Pa/m where the bulk suggests {pair.unit:.3g}"

@@ -20,13 +20,16 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.contact_fields import ContactorFunctions
 from dolfinx_mortar_al.picture import picture
-from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.problem import ContactProblem, check_problem
 from dolfinx_mortar_al.ranks import on_root, together
-from dolfinx_mortar_al.validation import vector
+from dolfinx_mortar_al.validation import check_columns, number, path_of, vector
 
 __all__ = ["History", "ParaView", "Probe", "Run", "deformed_cells", "extent", "picture", "summary"]
 
 Array = NDArray[np.float64]
+
+
+FROM_STEPS = ("newton_iterations", "wall_time")  # columns that a Run fills in
 
 
 class History:
@@ -40,15 +43,18 @@ class History:
 
     Raises:
         OSError: on every rank, if the folder cannot be made or written to.
-        ValueError: on every rank, if a file to be resumed has other columns or text in place of numbers.
+        ValueError: on every rank, if `columns` are no list of different names, or a file to be resumed has others or text in
+            place of numbers.
     """
 
     def __init__(
         self, problem: ContactProblem, directory: Path | str, columns: Sequence[str], resume: float | None = None
     ) -> None:
-        self.columns, self.comm = list(columns), problem.comm
-        self.path = Path(directory) / "history.csv"
-        self.rows: list[dict[str, float]] = on_root(self.comm, lambda: self._open(resume))
+        check_problem(problem)
+        self.columns, self.comm = check_columns(columns), problem.comm
+        self.path = path_of("directory", directory) / "history.csv"
+        last = None if resume is None else number("resume", resume)
+        self.rows: list[dict[str, float]] = on_root(self.comm, lambda: self._open(last))
 
     def _open(self, resume: float | None) -> list[dict[str, float]]:
         """Start the file with the rows to keep."""
@@ -108,7 +114,13 @@ class History:
         return values
 
     def column(self, name: str) -> Array:
-        """All values of a column so far."""
+        """All values of a column so far.
+
+        Raises:
+            ValueError: if there is no such column.
+        """
+        if name not in self.columns:
+            raise ValueError(f"name = {name!r}: no column is called that; known are {self.columns}")
         return np.array([row[name] for row in self.rows])
 
 
@@ -181,7 +193,9 @@ class ParaView:
     def __init__(self, problem: ContactProblem, directory: Path | str, resume: float | None = None) -> None:
         from dolfinx.io import VTXWriter
 
-        folder, self._comm, later = Path(directory), problem.comm, "" if not resume else f"_from_{resume:.6g}"
+        check_problem(problem)
+        folder, self._comm = path_of("directory", directory), problem.comm
+        later = "" if not resume else f"_from_{resume:.6g}"
         on_root(problem.comm, lambda: folder.mkdir(parents=True, exist_ok=True))
         self.problem = problem
         self._contactors = [ContactorFunctions(pair) for pair in problem.pairs]
@@ -253,12 +267,17 @@ class Run:
         resume: float | None = None,
         checkpoint: bool = False,
     ) -> None:
+        missing = [name for name in FROM_STEPS if name not in check_columns(columns)]
+        if missing:
+            raise ValueError(
+                f"columns = {columns}: {' and '.join(missing)} of each step will be filled in; name them, too"
+            )
         self._checkpoint = Checkpoint(directory, problem) if checkpoint else None
         saved = None if self._checkpoint is None else self._checkpoint.load()
         if saved is not None:
             resume = saved.at
         self.start, self.ledger = resume or 0.0, None if saved is None else saved.ledger
-        self.problem, self.directory, self.parameters = problem, Path(directory), dict(parameters)
+        self.problem, self.directory, self.parameters = problem, path_of("directory", directory), dict(parameters)
         self.history = History(problem, directory, columns, resume)
         self._paraview = ParaView(problem, directory, resume) if paraview else None
         self._rejected = 0

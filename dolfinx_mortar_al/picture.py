@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al import rendering
 from dolfinx_mortar_al.contact import ContactPair
 from dolfinx_mortar_al.contact_fields import ContactorFunctions
-from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.problem import ContactProblem, check_problem
 from dolfinx_mortar_al.ranks import agreed, on_root
 from dolfinx_mortar_al.surface import Facets, ShapeFunctions, Surface
-from dolfinx_mortar_al.validation import vector, whole
+from dolfinx_mortar_al.validation import path_of, vector, whole
 
 __all__ = ["picture"]
 
@@ -68,7 +68,8 @@ def picture(
         ModuleNotFoundError: on every rank, if there is no PyVista.
         RuntimeError: on every rank, if it cannot draw; OSError, if the file cannot be written.
     """
-    path = Path(path)
+    check_problem(problem)
+    path = path_of("path", path)
     if colour not in LABELS:
         raise ValueError(f'colour = "{colour}": "displacement" or "pressure"')
     if path.suffix.lower() != ".png":

@@ -23,6 +23,7 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.body import Body
 from dolfinx_mortar_al.contact import Contact, ContactPair
+from dolfinx_mortar_al.given import Given
 from dolfinx_mortar_al.load import Loads
 from dolfinx_mortar_al.monitors import Finding, Monitor
 from dolfinx_mortar_al.motion import Motion
@@ -35,7 +36,7 @@ from dolfinx_mortar_al.surface import check_surfaces
 from dolfinx_mortar_al.ties import Bearing, Ties
 from dolfinx_mortar_al.validation import check_names, joint_thickness, listed
 
-__all__ = ["ContactProblem", "Snapshot"]
+__all__ = ["ContactProblem", "Snapshot", "check_problem"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -117,6 +118,8 @@ class ContactProblem:
             foreseen = [body.foreseen if isinstance(body, Body) else None for body in said]
             self.bodies = Bodies(residuals, listed("u", u, fem.Function, "a Function"), bcs, jacobians, foreseen)
         self.comm, self.gdim = self.bodies.comm, self.bodies.gdim
+        agreed(self.comm, "contacts: how many", len(contacts))
+        Given(self.comm, self.bodies.bodies).check()
         if self.inverted_volume() > 0:
             raise ValueError(
                 "u: det F ≤ 0 somewhere in the start state; start from a displacement without inverted cells"
@@ -127,16 +130,16 @@ class ContactProblem:
                 replace(contact, thickness=joint_thickness(contact, name, said))
                 for contact, name in zip(contacts, names, strict=True)
             ]
+            for contact, name in zip(contacts, names, strict=True):
+                for argument, value in contact.said.items():
+                    agreed(self.comm, f"{argument} of the contact {name!r}", value)
             check_surfaces(contacts)
             self.pairs = [
                 ContactPair(contact, self.bodies, self.stopwatch, name)
                 for contact, name in zip(contacts, names, strict=True)
             ]
-            agreed(
-                self.comm,
-                "contacts",
-                [(pair.name, pair.friction_coefficient, pair.contact.thickness) for pair in self.pairs],
-            )
+        #: what a user may change between solves
+        self.given = Given(self.comm, self.bodies.bodies, self.pairs)
         #: what marches have moved
         self.loads = Loads()
         #: what a snapshot is made of, in the order in which it is restored
@@ -659,6 +662,18 @@ class ContactProblem:
         return counts | {f"multiplier of {pair.name}": pair.multiplier.size for pair in self.pairs}
 
 
+def check_problem(problem: Any) -> None:
+    """What is to be solved, or has been, is a problem.
+
+    Raises:
+        ValueError: if it is something else, such as a Body.
+    """
+    if not isinstance(problem, ContactProblem):
+        kind = type(problem).__name__
+        way = "ContactProblem(body, contacts=…)" if isinstance(problem, Body | Motion) else "a ContactProblem"
+        raise ValueError(f"problem: {kind} is no ContactProblem; pass {way}")
+
+
 def _bodies_in(F: Any, u: Any) -> list[Body | Motion]:
     """The bodies that a problem is made of, none if it is made of residuals."""
     items = list(F) if isinstance(F, list | tuple) else [F]
@@ -675,7 +690,7 @@ def _bodies_in(F: Any, u: Any) -> list[Body | Motion]:
         if any(item.u is other.u for other in items[:k]):
             raise ValueError(f"F[{k}]: a Body of the same displacement is there before; say all of it in one")
     if u is not None:
-        raise ValueError("u: a Body says it; leave it out")
+        raise ValueError("u: a Body says it; leave it out, and name what follows: contacts=[…]")
     return found
 
 

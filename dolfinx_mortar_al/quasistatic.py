@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import floor
 from typing import Any
@@ -17,10 +17,10 @@ from dolfinx_mortar_al.load_watch import LoadWatch
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.newton import NO_PROGRESS, NewtonSolver, Path
 from dolfinx_mortar_al.predictor import Predictor
-from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.problem import ContactProblem, check_problem
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import all_over, max_over, sum_over
-from dolfinx_mortar_al.stepping import Attempt, Bar, Controller, Event, StepFailure
+from dolfinx_mortar_al.stepping import Attempt, Bar, Controller, Event, March, StepFailure
 
 __all__ = ["Stage", "Step", "StepFailure", "follow", "march"]
 
@@ -120,6 +120,7 @@ def march(
             ranks.
         StepFailure: on every rank, in a step.
     """
+    check_problem(problem)
     validation.check_still(problem.motions)
     smallest = validation.number("smallest", smallest, above=0.0, most=1.0)
     event = Event(problem.comm, until)
@@ -134,7 +135,8 @@ def march(
     else:
         legs, begin = _legs(problem, [Stage(load, to, increments)], start), 0.0  # type: ignore[arg-type]
     agreed(problem.comm, "start", begin)
-    return _steps(_LoadControl(problem, stepping.solver_of(problem, solver), legs, begin, smallest, event), progress)
+    control = _LoadControl(problem, stepping.solver_of(problem, solver), legs, begin, smallest, event)
+    return March(_steps(control, progress), problem.comm.rank)
 
 
 def follow(
@@ -171,6 +173,7 @@ def follow(
     first, smallest = validation.number("first", first), validation.number("smallest", smallest, above=0.0, most=1.0)
     if first == 0.0:
         raise ValueError("first = 0: the path needs a first load increment, which gives it its direction")
+    check_problem(problem)
     validation.check_still(problem.motions)
     moved, event = _load_of(problem, load), Event(problem.comm, until)
     if not moved.is_number:
@@ -178,15 +181,16 @@ def follow(
     begin = None if start is None else validation.number("start", start)
     agreed(problem.comm, "first, length, steps, start", (first, length, steps, begin))
     control = _PathControl(problem, stepping.solver_of(problem, solver), moved, first, length, steps, smallest, event)
-    return _follow(control, begin, progress)
+    return March(_follow(control, begin, progress), problem.comm.rank)
 
 
-def _steps(control: Controller[Step], progress: bool) -> Iterator[Step]:
+def _steps(control: Controller[Step], progress: bool) -> Generator[Step, None, None]:
+    control.problem.given.check()
     with Bar(control.problem, progress) as bar:
         yield from stepping.run(control, bar)
 
 
-def _follow(control: _PathControl, start: float | None, progress: bool) -> Iterator[Step]:
+def _follow(control: _PathControl, start: float | None, progress: bool) -> Generator[Step, None, None]:
     """The first step with a given load, and those along the path."""
     problem, load, first = control.problem, control.load, control.first
     if start is not None:
@@ -255,10 +259,10 @@ def _legs(problem: ContactProblem, stages: Sequence[Stage], start: float | None)
         leg = _Leg(problem, load, load.end(f"{where}to", stage.to), increments, Event(problem.comm, stage.until))
         if start is not None:
             leg.start = load.end("start", start)
-        shared = (
-            None if isinstance(load.source, fem.Function) else leg.end.tolist()
-        )  # of a Function each rank has a part
-        agreed(problem.comm, f"{where}start, to, increments", (start, shared, increments))
+        # of a Function each rank has a part
+        begin, end = (None, None) if isinstance(load.source, fem.Function) else (load.value.tolist(), leg.end.tolist())
+        agreed(problem.comm, f"{where}start, to, increments", (start, end, increments))
+        agreed(problem.comm, f"{where}load: its present value", begin)
         earlier = next((one for one in reversed(legs) if one.load is load), None)
         before = leg.start if leg.start is not None else load.value if earlier is None else earlier.end
         if (earlier is None or stages[legs.index(earlier)].until is None) and _alike(problem, before, leg.end):

@@ -11,7 +11,7 @@ from dolfinx.la import InsertMode
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.bodies import BodyForms
-from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.problem import ContactProblem, check_problem
 from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.surface import Facets, Surface
 from dolfinx_mortar_al.validation import vector
@@ -47,6 +47,7 @@ def reaction(
         ValueError: on every rank: a condition that is none of the problem's, a surface on which nothing is prescribed, or
             what is neither.
     """
+    check_problem(problem)
     d = problem.gdim
     origin = np.zeros(d) if about is None else vector("about", about, d)
     if isinstance(at, fem.DirichletBC):

@@ -17,6 +17,7 @@ from dolfinx_mortar_al.projection import Projection
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.segments import Segments
 from dolfinx_mortar_al.targets import Target
+from dolfinx_mortar_al.validation import vector
 
 __all__ = ["PairResults"]
 
@@ -84,7 +85,10 @@ class PairResults:
     def moment(self, about: Sequence[float]) -> Array:
         """Moment of the contact tractions on the contactor about a point (N m; 3 components, or 1 in the plane),
         collective. A rigid obstacle feels the opposite, as it does of :meth:`force`."""
-        arm, t = self.kinematics.x - np.asarray(about), self.j[:, None] * self.kinematics.traction(self.state)
+        arm, t = (
+            self.kinematics.x - vector("about", about, self.gdim),
+            self.j[:, None] * self.kinematics.traction(self.state),
+        )
         if self.gdim == 3:
             return np.asarray(sum_over(self.comm, np.cross(arm, t).sum(axis=0)))
         return np.atleast_1d(sum_over(self.comm, float(np.sum(arm[:, 0] * t[:, 1] - arm[:, 1] * t[:, 0]))))

@@ -7,21 +7,25 @@ What moves is a controller's: the load (`quasistatic.march`), the load along the
 from __future__ import annotations
 
 import sys
+import warnings
+import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from time import perf_counter
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
+import numpy as np
 from mpi4py import MPI
 
-from dolfinx_mortar_al.monitors import Finding, Reporter
+from dolfinx_mortar_al.monitors import Finding, ModelWarning, Reporter
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.ranks import agreed
+from dolfinx_mortar_al.validation import takes
 
-__all__ = ["Attempt", "Bar", "Controller", "Event", "Step", "StepFailure", "run", "solver_of"]
+__all__ = ["Attempt", "Bar", "Controller", "Event", "March", "Step", "StepFailure", "run", "solver_of"]
 
 EASY = 8  # Newton iterations up to which a step that was cut may grow again
 GROWTH = 2.0  # of a step from one to the next at most
@@ -173,6 +177,46 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
         iterations, reasons, clock = 0, [], perf_counter()
 
 
+class March(Generator[S, None, None]):
+    """The steps of a march, each taken when it is asked for; where none was asked for at all, that is said in the end.
+
+    Args:
+        steps: the steps.
+        rank: 0 says it.
+    """
+
+    def __init__(self, steps: Generator[S, None, None], rank: int) -> None:
+        self._steps, self._asked = steps, rank != 0
+        weakref.finalize(self, steps.close)  # where the program ends first: before PETSc does
+
+    def __next__(self) -> S:
+        self._asked = True
+        return next(self._steps)
+
+    def send(self, value: None) -> S:
+        """The next step."""
+        self._asked = True
+        return self._steps.send(value)
+
+    def throw(self, *error: Any) -> S:
+        """End the march with an error."""
+        self._asked = True
+        return self._steps.throw(*error)
+
+    def close(self) -> None:
+        """End the march where it is."""
+        self._asked = True
+        self._steps.close()
+
+    def __del__(self) -> None:
+        if not self._asked and not sys.is_finalizing():
+            warnings.warn(
+                "march: none of its steps was asked for, so that nothing was solved: write for step in march(…)",
+                ModelWarning,
+                stacklevel=2,
+            )
+
+
 def solver_of(problem: ContactProblem, solver: NewtonSolver | None, **options: Any) -> NewtonSolver:
     """The solver that was passed, or one with these options.
 
@@ -200,7 +244,7 @@ class Event:
     """
 
     def __init__(self, comm: MPI.Comm, until: Callable[[], bool] | None) -> None:
-        if until is not None and not callable(until):
+        if until is not None and not (callable(until) and takes(until)):
             raise ValueError(f"until = {until!r}: pass a function without arguments, such as pair.reaches_end")
         self._comm, self._until = comm, until
 
@@ -208,13 +252,16 @@ class Event:
         """Whether it has happened (collective).
 
         Raises:
-            ValueError: on every rank, if the ranks do not agree.
+            ValueError: on every rank, if the ranks do not agree, or on something else than a truth value.
         """
         if self._until is None:
             return False
-        happened = bool(self._until())
-        agreed(self._comm, "until()", happened)
-        return happened
+        happened = self._until()
+        sound = isinstance(happened, bool | np.bool_ | int)
+        agreed(self._comm, "until()", bool(happened) if sound else happened)
+        if not sound:
+            raise ValueError(f"until() = {happened}: must return True or False")
+        return bool(happened)
 
 
 class Bar:

@@ -43,6 +43,9 @@ class Surface:
         tag: the value that marks the surface, or several.
         side: for a membrane, the side that touches: a vector (numbers, or UFL in reference coordinates) that points to
             it everywhere. A body's facets have their outward side and take none.
+
+    Raises:
+        ValueError: if `mesh` is no mesh or `tags` are none.
     """
 
     mesh: mesh.Mesh
@@ -51,6 +54,11 @@ class Surface:
     side: Any = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.mesh, mesh.Mesh) or not isinstance(self.tags, mesh.MeshTags):
+            raise ValueError(
+                "Surface: takes a mesh, MeshTags and a tag in this order, not "
+                f"{', '.join(type(said).__name__ for said in (self.mesh, self.tags, self.tag))}"
+            )
         if np.ndim(self.tag) == 1:
             object.__setattr__(self, "tag", tuple(np.ravel(self.tag).tolist()))
 
@@ -74,10 +82,6 @@ class Surface:
             ValueError: on every rank, if the tags are of another dimension, the surface is empty, a facet of it is not
                 on the boundary, or the side is missing (membrane) or too much (body).
         """
-        if not isinstance(self.mesh, mesh.Mesh) or not isinstance(self.tags, mesh.MeshTags):
-            raise ValueError(
-                f"Surface: takes a mesh, MeshTags and a tag, not {type(self.mesh).__name__} and {type(self.tags).__name__}"
-            )
         values = self._values
         dim, kind = self.mesh.geometry.dim - 1, "cells" if self.is_membrane else "facets"
         if self.tags.dim != dim:

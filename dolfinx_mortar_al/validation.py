@@ -9,7 +9,9 @@ from __future__ import annotations
 import inspect
 import itertools
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import basix
@@ -25,6 +27,7 @@ __all__ = [
     "are_tags_of",
     "check_callable",
     "check_cells",
+    "check_columns",
     "check_dead",
     "check_external",
     "check_kinetic",
@@ -34,12 +37,18 @@ __all__ = [
     "check_motions",
     "check_names",
     "check_residual",
+    "check_scalar",
+    "check_scalars",
+    "check_space",
     "compiled",
     "constant_value",
+    "is_ufl",
     "joint_thickness",
     "listed",
     "number",
+    "path_of",
     "positive_or_ufl",
+    "takes",
     "vector",
     "whole",
 ]
@@ -106,9 +115,43 @@ def vector(name: str, value: Any, components: int) -> NDArray[np.float64]:
     return result
 
 
-def constant_value(value: Any) -> Any:
-    """The number in a scalar UFL Constant; anything else as it is."""
-    return float(value.value) if isinstance(value, fem.Constant) and value.value.shape == () else value
+def check_scalar(name: str, field: fem.Constant | fem.Function) -> None:
+    """Constants and Functions must be in float64: DOLFINx compiles no form of several kinds of numbers.
+
+    Raises:
+        ValueError: if one is not.
+    """
+    if field.dtype != np.float64:
+        kind = type(field).__name__
+        way = f"fem.{kind}(mesh, default_scalar_type(…))" if kind == "Constant" else f"fem.{kind}(V)"
+        raise ValueError(f"{name}: a {kind} of {field.dtype}; make it one of float64, as {way} does")
+
+
+def constant_value(value: Any, name: str = "a number") -> Any:
+    """The number in a UFL Constant; anything else as it is.
+
+    Raises:
+        ValueError: if the Constant is not of float64, or no scalar.
+    """
+    if not isinstance(value, fem.Constant):
+        return value
+    check_scalar(name, value)
+    if value.value.shape:
+        raise ValueError(f"{name}: a Constant of shape {value.value.shape}; must be one number")
+    return float(value.value)
+
+
+def is_ufl(name: str, value: Any) -> bool:
+    """Whether a value is UFL, to be taken as it is.
+
+    Raises:
+        ValueError: if it is UFL, but no scalar.
+    """
+    if not isinstance(value, ufl.core.expr.Expr):
+        return False
+    if value.ufl_shape:
+        raise ValueError(f"{name}: UFL of shape {value.ufl_shape}; must be a scalar")
+    return True
 
 
 def positive_or_ufl(name: str, value: Any) -> Any:
@@ -117,8 +160,8 @@ def positive_or_ufl(name: str, value: Any) -> Any:
     Raises:
         ValueError: if it is neither, or a Constant that is not positive.
     """
-    said = constant_value(value)
-    if isinstance(said, ufl.core.expr.Expr):
+    said = constant_value(value, name)
+    if is_ufl(name, said):
         return value
     checked = number(name, said, above=0.0)
     return checked if said is value else value
@@ -145,12 +188,42 @@ def check_callable(name: str, function: Any, argument: str) -> None:
     Raises:
         ValueError: if it takes another number.
     """
+    if not callable(function) or not takes(function, 0.0):
+        raise ValueError(f"{name}: {function!r} cannot be called with one argument, {argument}")
+
+
+def takes(function: Callable[..., Any], *arguments: Any) -> bool:
+    """Whether a function can be called with these arguments, as far as its signature is known."""
     try:
-        inspect.signature(function).bind(0.0)
+        inspect.signature(function).bind(*arguments)
     except ValueError:  # no signature to look at
-        return
+        return True
     except TypeError:
-        raise ValueError(f"{name}: {function!r} cannot be called with one argument, {argument}") from None
+        return False
+    return True
+
+
+def path_of(name: str, value: Any) -> Path:
+    """A path from a text or path.
+
+    Raises:
+        ValueError: if it is neither.
+    """
+    if not isinstance(value, str | os.PathLike):
+        raise ValueError(f"{name}: {type(value).__name__} is no path; pass a text or a Path")
+    return Path(value)
+
+
+def check_columns(columns: Any) -> list[str]:
+    """Names of a table's columns: texts, none twice.
+
+    Raises:
+        ValueError: if they are something else.
+    """
+    names = [] if isinstance(columns, str) or not isinstance(columns, Iterable) else list(columns)
+    if not names or any(not isinstance(name, str) or not name for name in names) or len(set(names)) < len(names):
+        raise ValueError(f"columns = {columns!r}: pass a list of names, such as ['load', 'force'], none of them twice")
+    return names
 
 
 def check_names(names: Sequence[str | None]) -> list[str]:
@@ -191,16 +264,40 @@ def check_residual(F: Any, u: fem.Function, name: str = "F") -> None:
             f"{name}: its test function is of another space than u: use ufl.TestFunction(u.function_space)"
         )
     check_measures(F, name)
+    check_scalars(F, name)
     if u not in F.coefficients():
         raise ValueError(f"{name} does not depend on u: is it written with another Function?")
 
 
+def check_scalars(form: ufl.Form, name: str) -> None:
+    """A form's Constants and Functions must be in float64.
+
+    Raises:
+        ValueError: if one is not.
+    """
+    for field in (*form.constants(), *form.coefficients()):
+        if isinstance(field, fem.Constant | fem.Function):
+            check_scalar(name, field)
+
+
 def check_measures(F: ufl.Form, name: str) -> None:
-    """Integrals of one kind must be over measures of the same tags, each of which marks something (collective).
+    """Integrals must be over the mesh of the test function, those of one kind over measures of the same tags, each of which
+    marks something (collective).
 
     Raises:
         ValueError: on every rank, if they are not.
     """
+    domain = F.arguments()[0].ufl_function_space().ufl_domain()
+    fields = [f for f in F.coefficients() if f.ufl_function_space().ufl_domain() != domain]
+    if fields:
+        raise ValueError(
+            f"{name}: {fields[0]} is a Function on another mesh than the displacement's; make it on the same"
+        )
+    if any(integral.ufl_domain() != domain for integral in F.integrals()):
+        raise ValueError(
+            f"{name}: an integral over another mesh than the displacement's; make its measure of the same, "
+            'ufl.Measure("dx", u.function_space.mesh, …)'
+        )
     for kind, data in next(iter(F.subdomain_data().values()), {}).items():
         if any(other is not data[0] for other in data):
             raise ValueError(
@@ -249,6 +346,7 @@ def check_external(external: Any, u: fem.Function) -> None:
     arguments = external.arguments()
     if len(arguments) != 1 or arguments[0].ufl_function_space() != u.function_space:
         raise ValueError("external: must be linear in the test function of u's space")
+    check_scalars(external, "external")
     check_linear("external", external)
 
 
@@ -370,6 +468,37 @@ def check_law(u: fem.Function, membrane: bool, what: str) -> None:
 
 
 # ---------------------------------------------------------------- meshes
+
+
+def check_space(u: fem.Function) -> None:
+    """A displacement is Lagrange of order 1 or 2 with as many components as space has dimensions, two or three.
+
+    Raises:
+        ValueError: if it is another Function.
+    """
+    V = u.function_space
+    if u.dtype != np.float64 or V.mesh.geometry.x.dtype != np.float64:
+        raise ValueError(f"u: {u.dtype} on a mesh of {V.mesh.geometry.x.dtype}; contact needs both in float64")
+    if V.num_sub_spaces and not V.dofmap.index_map_bs > 1:
+        raise ValueError("u: a mixed element; pass the displacement as a Function of a space of its own")
+    domain, element = V.mesh, V.element.basix_element
+    d, tdim = domain.geometry.dim, domain.topology.dim
+    if d == 1:
+        raise ValueError("u: a mesh of intervals in space of dimension 1; bodies are in the plane or in space")
+    if tdim not in (d, d - 1):
+        raise ValueError(f"a mesh of dimension {tdim} in space of dimension {d}: neither a body nor a membrane")
+    if V.dofmap.index_map_bs != d:
+        raise ValueError(
+            f"u has {V.dofmap.index_map_bs} components on a mesh in space of dimension {d}: take it from "
+            f'fem.functionspace(mesh, ("Lagrange", 2, ({d},)))'
+        )
+    if element.family.name != "P" or element.degree not in (1, 2) or element.discontinuous:
+        raise ValueError(f"u: {V.ufl_element()} is not a continuous Lagrange element of order 1 or 2")
+    if geometry_degree(domain) > element.degree:
+        raise ValueError(
+            f"u has order {element.degree} on a mesh of order {geometry_degree(domain)}: "
+            "take u at least of the mesh's order"
+        )
 
 
 def are_tags_of(tags: Any, domain: mesh.Mesh) -> bool:

@@ -21,6 +21,8 @@ from dolfinx_mortar_al import (
     ContactProblem,
     NewtonSolver,
     Surface,
+    dynamics,
+    loads,
     materials,
     membrane,
     monitors,
@@ -94,6 +96,24 @@ def test_friction_must_be_a_number_not_below_zero(domain, μ):
         pair(domain, friction=μ)
 
 
+@pytest.mark.parametrize("constant", [False, True])
+def test_a_friction_beyond_that_of_any_surface_is_said(constant):
+    """30 for 30 %, once however many solves there are; that of rubber is nothing to say."""
+    μ = fem.Constant(beams(order=1)[0].u.function_space.mesh, 4.0)
+    problem, P = beams(order=1, friction=μ if constant else 30.0)
+    if constant:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            list(quasistatic.march(problem, P, to=0.5, increments=1))
+        μ.value = 30.0
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        list(quasistatic.march(problem, P, to=1.0, increments=2))
+    said = [str(w.message) for w in caught if issubclass(w.category, monitors.ModelWarning)]
+    assert len(said) == (problem.comm.rank == 0)
+    assert all("friction = 30: " in text and "30 % are written 0.3" in text for text in said)
+
+
 @pytest.mark.parametrize("name", ["epsilon_normal", "epsilon_tangential", "thickness"])
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
 def test_parameters_must_be_positive(domain, name, value):
@@ -140,6 +160,51 @@ def test_a_mesh_of_the_wrong_dimension():
     F = ufl.inner(u, ufl.TestFunction(u.function_space)) * ufl.dx
     with pytest.raises(ValueError, match="mesh of dimension 1 in space of dimension 3"):
         ContactProblem(F, u)
+
+
+def test_a_line_is_no_body():
+    line = mesh.create_unit_interval(MPI.COMM_WORLD, 4)
+    for shape in ((), (1,)):
+        u = fem.Function(fem.functionspace(line, ("Lagrange", 1, shape)))
+        F = ufl.inner(u, ufl.TestFunction(u.function_space)) * ufl.dx
+        for make in (lambda u=u: Body(u, materials.neo_hookean(1.0, 0.3)), lambda F=F, u=u: ContactProblem(F, u)):
+            with pytest.raises(ValueError, match="intervals in space of dimension 1"):
+                make()
+
+
+def test_a_body_needs_a_vector_and_a_solid(domain):
+    u = fem.Function(fem.functionspace(domain[0], ("Lagrange", 1)))
+    with pytest.raises(ValueError, match=r"1 components .* take it from fem.functionspace\(mesh, \(.*, \(2,\)\)\)"):
+        Body(u, materials.neo_hookean(1.0, 0.3))
+
+
+def test_arguments_of_a_surface_in_another_order(domain):
+    for said in [(domain[2], domain[0], 12), (domain[0], 12, domain[2])]:
+        with pytest.raises(
+            ValueError, match=r"takes a mesh, MeshTags and a tag in this order, not (MeshTags|Mesh), .*"
+        ):
+            Surface(*said)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.complex64, np.complex128])
+def test_constants_of_other_numbers_than_float64(domain, kind):
+    """DOLFINx itself refuses whole ones."""
+    built = domain[0]
+    V = fem.functionspace(built, ("Lagrange", 1, (2,)))
+    u, other, law = fem.Function(V), fem.Constant(built, kind(0.3)), materials.neo_hookean(1.0, 0.3)
+    problem = ContactProblem(law.virtual_work(u), u)
+    makes = {
+        "external": lambda: Body(u, law, external=(ufl.as_vector([other, 0.0]), ufl.dx(built))),
+        "F": lambda: ContactProblem(other * law.virtual_work(u), u),
+        "E": lambda: materials.neo_hookean(other, 0.3),
+        "nu": lambda: materials.neo_hookean(1.0, other),
+        "density": lambda: Body(u, law, density=other),
+        "friction": lambda: pair(domain, friction=other),
+        "load": lambda: quasistatic.march(problem, other, to=1.0, increments=1),
+    }
+    for name, make in makes.items():
+        with pytest.raises(ValueError, match=rf"{name}: a Constant of {np.dtype(kind)}; .*default_scalar_type"):
+            make()
 
 
 def test_an_inverted_start(domain):
@@ -362,6 +427,111 @@ def test_values_that_differ_between_ranks():
         list(quasistatic.march(problem, P, to=3.0, increments=1, until=lambda: problem.comm.rank == 1))
 
 
+def pulled_square(value=(0.0, 0.0), start=None, load=0.0):
+    """A square on a plane, held below, with values prescribed on top and a force: (march of 2 increments, what a user may
+    change by name)."""
+    comm = MPI.COMM_WORLD
+    domain = mesh.create_unit_square(comm, 2, 2)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u, P, field = fem.Function(V, name="displacement"), fem.Constant(domain, load), fem.Function(V, name="weight")
+    u.x.array[:] = 0.0 if start is None else start
+    pull, μ = fem.Function(V, name="pull"), fem.Constant(domain, 0.3)
+    top = fem.Constant(domain, value)
+    at = [fem.locate_dofs_geometrical(V, where) for where in (on_the_left, on_top)]
+    bcs = [fem.dirichletbc(pull, at[0]), fem.dirichletbc(top, at[1], V)]
+    loads = [(ufl.as_vector([P, 0.0]), ufl.dx(domain)), (field, ufl.dx(domain))]
+    bottom = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 0.0))
+    tags = mesh.meshtags(domain, 1, np.sort(bottom), np.full(len(bottom), 7, dtype=np.int32))
+    floor = obstacles.RigidPlane([0.0, -0.1], [0.0, 1.0])
+    body = Body(u, materials.neo_hookean(1.0, 0.3), external=loads, bcs=bcs)
+    problem = ContactProblem(body, contacts=[Contact(Surface(domain, tags, 7), floor, friction=μ, name="sole")])
+    given = {
+        "problem": problem,
+        "u": u,
+        "P": P,
+        "weight": field,
+        "pull": pull,
+        "top": top,
+        "friction": μ,
+        "floor": floor,
+    }
+    return quasistatic.march(problem, P, to=0.02, increments=2), given
+
+
+def on_the_left(x):
+    return np.isclose(x[0], 0.0)
+
+
+def on_top(x):
+    return np.isclose(x[1], 1.0)
+
+
+@pytest.mark.skipif(MPI.COMM_WORLD.size == 1, reason="needs ranks that differ")
+@pytest.mark.parametrize(
+    "name, words",
+    [
+        ("P", "load: its present value"),
+        ("top", r"the Dirichlet condition 1 of u\[0\]"),
+        ("friction", "friction of sole"),
+        ("floor", "the pose of sole's obstacle"),
+    ],
+)
+def test_what_is_changed_between_steps_on_one_rank_alone(name, words):
+    rank = MPI.COMM_WORLD.rank
+    march, given = pulled_square()
+    next(march)
+    if name == "floor":
+        given[name].move([0.0, -0.01 * rank])
+    else:
+        given[name].value = given[name].value + 0.01 * rank
+    with pytest.raises(ValueError, match=rf"{words}.*on rank 0, .* on rank 1; must be the same on all ranks"):
+        next(quasistatic.march(given["problem"], given["P"], to=1.0, increments=1))
+
+
+@pytest.mark.parametrize("wrong", [np.nan, -np.inf])
+@pytest.mark.parametrize(
+    "name, words",
+    [
+        ("u", r"u\[0\] \(Function 'displacement'\): component . has the value VALUE at X = \(.*\)"),
+        (
+            "pull",
+            r"the Dirichlet condition 0 of u\[0\] \(Function 'pull'\): component . has the value VALUE at X = \(.*\)",
+        ),
+        ("top", r"the Dirichlet condition 1 of u\[0\] has the value \[ *0. VALUE\]"),
+        ("weight", r"Function 'weight' in the form of u\[0\]: 18 of its values are no finite numbers"),
+        ("friction", "friction of sole has the value .VALUE."),
+    ],
+)
+def test_what_is_changed_between_steps_to_no_number(name, words, wrong):
+    march, given = pulled_square()
+    next(march)
+    if name == "top":
+        given[name].value[1] = wrong
+    elif name == "friction":
+        given[name].value = wrong
+    else:
+        given[name].x.array[:] = wrong
+    with pytest.raises(ValueError, match=words.replace("VALUE", str(wrong))), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        next(quasistatic.march(given["problem"], given["P"], to=1.0, increments=1))
+
+
+def test_a_mesh_that_is_moved_after_the_problem_was_made():
+    march, given = pulled_square()
+    next(march)
+    given["u"].function_space.mesh.geometry.x[:] *= 1e-3
+    with pytest.raises(ValueError, match=r"mesh of u\[0\] has been changed since"):
+        next(march)
+
+
+@pytest.mark.parametrize(
+    "options, words", [({"start": np.nan}, r"u\[0\] "), ({"value": (0.0, np.inf)}, "condition 1 of")]
+)
+def test_a_start_that_is_no_number(options, words):
+    with pytest.raises(ValueError, match=rf"{words}.*(nan|inf)"):
+        pulled_square(**options)
+
+
 @pytest.mark.parametrize("up", [1.0, -1.0])
 def test_a_history_resumed(shared_path, up):
     problem, _ = beams(order=1)
@@ -420,6 +590,169 @@ def test_petsc_options_come_from_the_command_line(monkeypatch):
     solver = NewtonSolver(problem, prefix="other_")
     assert solver.snes.getTolerances()[3] == 80
     assert solver.solve().converged
+
+
+def squares():
+    """Two squares with a space each: (u, surfaces of their bottoms and tops by tag 1 and 2)."""
+    made = []
+    for y in (0.0, 1.1):
+        square = mesh.create_rectangle(MPI.COMM_WORLD, [(0.0, y), (1.0, y + 1.0)], (3, 3))
+        ends = [mesh.locate_entities_boundary(square, 1, lambda x, h=h: np.isclose(x[1], h)) for h in (y, y + 1.0)]
+        facets = np.concatenate(ends).astype(np.int32)
+        order, values = np.argsort(facets), np.repeat(np.array([1, 2], dtype=np.int32), [len(f) for f in ends])
+        tags = mesh.meshtags(square, 1, facets[order], values[order])
+        u = fem.Function(fem.functionspace(square, ("Lagrange", 1, (2,))))
+        made.append((u, [Surface(square, tags, tag) for tag in (1, 2)]))
+    return made
+
+
+@pytest.mark.skipif(MPI.COMM_WORLD.size == 1, reason="needs ranks that differ")
+@pytest.mark.parametrize(
+    "what", ["bcs", "bcs of a Body", "contacts", "material", "external", "tag", "quadrature", "rtol"]
+)
+def test_what_one_rank_alone_makes_otherwise(what):
+    """Conditions only where there are nodes of them, numbers drawn on each rank: refused before ranks wait for each other."""
+    (lower, (_, top)), (upper, (bottom, other)) = squares()
+    rank, law, here = MPI.COMM_WORLD.rank, materials.neo_hookean(1.0, 0.3), MPI.COMM_WORLD.rank == 0
+    V = lower.function_space
+    clamp = fem.dirichletbc(np.zeros(2), fem.locate_dofs_geometrical(V, on_the_left), V)
+    bodies, pair = [Body(lower, law), Body(upper, law)], Contact(bottom, top)
+    makes = {
+        "bcs": (lambda: ContactProblem(law.virtual_work(lower), lower, bcs=[clamp] if here else []), "bcs: how many"),
+        "bcs of a Body": (lambda: Body(lower, law, bcs=[clamp] if here else []), "bcs: how many: 1 on rank 0, 0 on"),
+        "contacts": (lambda: ContactProblem(bodies, contacts=[pair] if here else []), "contacts: how many"),
+        "material": (
+            lambda: ContactProblem(Body(lower, materials.neo_hookean(1.0 + rank, 0.3))),
+            "not the same form on",
+        ),
+        "external": (
+            lambda: ContactProblem(Body(lower, law, external=[((0.0, 1.0), ufl.dx)] if here else None)),
+            "not the same form on all ranks",
+        ),
+        "tag": (
+            lambda: ContactProblem(bodies, contacts=[Contact(bottom if here else other, top)]),
+            "contactor of the contact 'contact': 1 on rank 0, 2 on rank 1",
+        ),
+        "quadrature": (
+            lambda: ContactProblem(bodies, contacts=[Contact(bottom, top, quadrature_degree=4 + rank)]),
+            "quadrature_degree of the contact 'contact': 4 on rank 0",
+        ),
+        "rtol": (lambda: NewtonSolver(ContactProblem(bodies), rtol=1e-9 * (1 + rank)), "rtol, max_iterations"),
+    }
+    make, words = makes[what]
+    with pytest.raises(ValueError, match=words):
+        make()
+
+
+def test_forms_over_another_mesh():
+    (lower, _), (upper, _) = squares()
+    law, w = materials.neo_hookean(1.0, 0.3), ufl.TestFunction(lower.function_space)
+    own, foreign = (ufl.Measure("dx", u.function_space.mesh) for u in (lower, upper))
+    for make, words in [
+        (lambda: Body(lower, [(law, foreign)]), "material: an integral over another mesh"),
+        (lambda: Body(lower, law, external=((0.0, 1.0), foreign)), "external: an integral over another mesh"),
+        (lambda: Body(lower, law, external=ufl.inner(upper, w) * own), "external: .* is a Function on another mesh"),
+        (lambda: ContactProblem(law.virtual_work(lower, dx=foreign), lower), "F: an integral over another mesh"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            make()
+
+
+def test_arguments_of_another_kind(shared_path):
+    problem, P = beams(order=1)
+    u, law = problem.u, materials.neo_hookean(1.0, 0.3)
+    built = u.function_space.mesh
+    two = fem.Constant(built, (1.0, 2.0))
+    prescribed = fem.Function(u.function_space)
+    body, pair = Body(u, law, density=1.0), problem.pairs[0]
+
+    def march(load=P, to=1.0, **options):
+        return quasistatic.march(problem, load, to=to, increments=1, **options)
+
+    moving = ContactProblem(dynamics.Motion(body, step=1e-3))
+    for make, words in [
+        (lambda: materials.neo_hookean(two, 0.3), r"E: a Constant of shape \(2,\); must be one number"),
+        (lambda: materials.neo_hookean(1.0, 0.3 * two), r"nu: UFL of shape \(2,\); must be a scalar"),
+        (lambda: Body(u, law, thickness=two), r"thickness: a Constant of shape \(2,\)"),
+        (lambda: Body(u, law, density=[2 * two]), r"density: UFL of shape \(2,\)"),
+        (lambda: march(until=lambda x: True), "pass a function without arguments"),
+        (lambda: next(march(until=lambda: None)), r"until\(\) = None: must return True or False"),
+        (lambda: march(prescribed, lambda x: x[1]), r"interpolate does not take it .* returns \(2, n\) values"),
+        (lambda: dynamics.march(moving, to=1.0, ledger=0), "ledger: int is no Ledger"),
+        (
+            lambda: NewtonSolver(problem, prefix="-contact_"),
+            "prefix = '-contact_': of PETSc's options without their dash",
+        ),
+        (lambda: NewtonSolver(body), r"problem: Body is no ContactProblem; pass ContactProblem\(body, contacts=…\)"),
+        (lambda: quasistatic.march(body, P, to=1.0, increments=1), "problem: Body is no ContactProblem"),
+        (lambda: dynamics.march(body, to=1.0), "problem: Body is no ContactProblem"),
+        (lambda: Checkpoint(problem, shared_path), "directory: ContactProblem is no path"),
+        (lambda: output.picture(problem, 5), "path: int is no path"),
+        (lambda: output.History(problem, shared_path, "load"), "columns = 'load': pass a list of names"),
+        (lambda: output.History(problem, shared_path, ["load", "load"]), "none of them twice"),
+        (
+            lambda: output.History(problem, shared_path, ["load"]).column("x"),
+            r"name = 'x': no column .* known are \['load'\]",
+        ),
+        (lambda: output.Run(problem, shared_path, ["load"], {}), "newton_iterations and wall_time of each step"),
+        (lambda: output.History(problem, shared_path, ["load"], resume="x"), "resume = 'x': must be a number"),
+        (lambda: Checkpoint(shared_path, problem).save("x"), "at = 'x': must be a number"),
+        (lambda: pair.moment((0.0, 0.0, 0.0)), "about = .*: needs 2 components"),
+        (lambda: loads.pressure(u, 1.0, ufl.dx(built)), "is no measure of facets"),
+        (lambda: ContactProblem(body, [pair.contact]), r"name what follows: contacts=\[…\]"),
+        (lambda: ContactProblem(law.virtual_work(u), u, jacobian=law.virtual_work(u)), "jacobian: must be a bilinear"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            make()
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
+def test_a_density_that_makes_no_mass(value):
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
+    u, ρ = (fem.Function(fem.functionspace(domain, kind)) for kind in (("Lagrange", 1, (2,)), ("DG", 0)))
+    ρ.x.array[:] = value
+    motion = dynamics.Motion(Body(u, materials.neo_hookean(1.0, 0.3), density=ρ), step=1e-3)
+    with pytest.raises(
+        ValueError, match=r"mass of motion 0 \(kg\) = .*: its density must make it a number > 0|Function"
+    ):
+        dynamics.march(ContactProblem(motion), to=1e-3)
+
+
+def test_a_march_whose_steps_nobody_asks_for():
+    """It solves nothing, and says so; one that has been begun may be left at any step."""
+    problem, P = beams(order=1)
+    said = pytest.warns(monitors.ModelWarning, match="none of its steps was asked for")
+    with said if problem.comm.rank == 0 else nothing():
+        quasistatic.march(problem, P, to=1.0, increments=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        next(quasistatic.march(problem, P, to=1.0, increments=2))
+
+
+@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own process")
+def test_a_program_that_ends_within_a_march():
+    """It ends as it would without: the march does not outlive PETSc."""
+    script = (
+        "from scenes import beams\nfrom dolfinx_mortar_al import quasistatic\nproblem, P = beams(order=1)\n"
+        "march = quasistatic.march(problem, P, to=1.0, increments=2, progress=True)\nnext(march)"
+    )
+    subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, timeout=60, cwd=Path(__file__).parent, check=True
+    )
+
+
+@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own process")
+@pytest.mark.parametrize("solve", [False, True])
+def test_options_that_nothing_reads(solve):
+    """A misspelt option is named; of options that the user has not set PETSc says nothing at its end."""
+    script = f"from scenes import beams, NewtonSolver\ns = NewtonSolver(beams(order=1)[0])\nif {solve}: s.solve()"
+    options = ["-contact_kps_rtol", "1e-5", "-contact_snes_rtol", "1e-9", "-contact_direct_pc_type", "lu"]
+    command, here = [sys.executable, "-c", script], Path(__file__).parent
+    for asked in ([], options):
+        run = subprocess.run([*command, *asked], capture_output=True, text=True, timeout=60, cwd=here, check=True)
+        assert ("no part of this solver reads: -contact_kps_rtol 1e-5; are they" in run.stderr) == bool(solve and asked)
+        assert ("WARNING! There are options" in run.stderr + run.stdout) == bool(asked)
+        assert "mumps" not in run.stderr + run.stdout
 
 
 @pytest.mark.parametrize("where", ["material", "load", "plain", "condition"])
