@@ -51,6 +51,7 @@ SLIDE = (
     "to where it was bears them; refine its surface, or prescribe the motion that is free, of one node"
 )
 TOLD = 1e-3  # share of the contact forces that a tie may bear unsaid
+OUT_OF_BALANCE = 0.1  # of the worst: loose bodies that a failed solve names
 LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
 NOISE = 1e-3  # share of round-off in a body's forces below which a tie bears nothing
 SPARE = 2  # rings of target facets around contact in the plane that matrices have room for from the start
@@ -594,14 +595,18 @@ class ContactProblem:
         self.add_contact(f)
         return changed
 
-    def unheld(self) -> list[str]:
-        """The floating pieces, in words: those that a pair may hold, and those that nothing does (collective)."""
-        words = []
+    def unheld(self, off: PETSc.Vec) -> list[str]:
+        """The floating pieces that these nodal forces (N) put out of balance by at least a tenth of the worst, in words:
+        those that a pair may hold, and those that nothing does (collective)."""
+        squares = np.bincount(self.bodies.piece_of_dof, weights=off.array_r**2, minlength=self.bodies.pieces)
+        forces = np.nan_to_num(np.sqrt(sum_over(self.comm, squares)), nan=np.inf)
+        found = []
         for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
             for piece in body.floating:
                 held = any(touched[first + piece.number] for touched in self._touched)
-                words.append(f"{'contact alone' if held else 'nothing'} holds {piece}")
-        return words
+                found.append((forces[first + piece.number], f"{'contact alone' if held else 'nothing'} holds {piece}"))
+        worst = max(force for force, _ in found)
+        return [words for force, words in found if force >= OUT_OF_BALANCE * worst]
 
     @property
     def floating(self) -> list[Piece]:
