@@ -322,6 +322,19 @@ class _TimeControl(Controller[Step]):
         normal, tangential, by_obstacles = sums.tolist()
         return _Work(normal, tangential, by_obstacles, self.ledger.contact - stored - normal)
 
+    def _support_work(self) -> float:
+        """What supports that move put in during the step (J): what they bear in the mean over it, times their way."""
+        if not any(body.bcs for body in self.problem.bodies.bodies):
+            return 0.0
+        work = 0.0
+        for body, motion, forces in zip(
+            self.problem.bodies.bodies, self.motions, self.problem.support_forces(), strict=True
+        ):
+            n = len(forces)
+            held = body.prescribed().x.array[:n] > 0
+            work += float(forces[held] @ (motion.u.x.array[:n] - motion.old.x.array[:n])[held])
+        return sum_over(self.problem.comm, work)
+
     def _local_error(self, Δt: float) -> float:
         """What the mid-point rule leaves out in this step, Δt³ 𝐮‴/12 (m): the root mean square over the components of each
         connected body, of which the largest, so that those at rest do not hide what a small one does. For Δt 𝐮‴ the jump of
@@ -350,14 +363,14 @@ class _TimeControl(Controller[Step]):
     def _settle(self) -> None:
         """The state at the end of the step: velocities that contact allows, and its ledger."""
         problem, last, done, Δt = self.problem, self.ledger, self._work, self._trial
-        work = sum(motion.external_work() for motion in self.motions) + done.by_obstacles
+        work = sum(motion.external_work() for motion in self.motions) + done.by_obstacles + self._support_work()
         for motion in self.motions:
             motion.accept()
         settled = self._projection.apply(Δt, -done.tangential)
         self._forces = tuple(pair.force() + i / Δt for pair, i in zip(problem.pairs, settled.impulses, strict=True))
         problem.commit()
         now = self._with_state(last)
-        work, loss = work + settled.by_obstacles, done.lost + settled.lost
+        work, loss = work + settled.by_obstacles + settled.by_supports, done.lost + settled.lost
         friction = settled.friction - done.tangential
         self._next_ledger = replace(
             now,

@@ -158,6 +158,10 @@ class Motion:
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
         return self._compiled(self._per_mass(ufl.inner(u, v)))
 
+    def mass_product(self, v: fem.Function, w: fem.Function) -> fem.Form:
+        """∫ ρ 𝐯·𝐰 as a compiled form."""
+        return self._compiled(self._per_mass(ufl.inner(v, w)))
+
     def momenta(self) -> Array:
         """Momentum (N s, gdim) and angular momentum about the origin (N m s, 1 or 3), collective."""
         return np.array([self.integral(form) for form in self._momenta])

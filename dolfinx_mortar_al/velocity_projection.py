@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from dolfinx import fem
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
@@ -50,12 +51,14 @@ class Settled:
         lost: energy that −𝐈 takes as conjugate to 𝐆𝐯 (J): that of the impact of nodes.
         friction: the rest (J), what impulses along the traction add where points slip. It corrects what the step's own
             tractions dissipate, and has either sign.
-        by_obstacles: work of obstacles (J); impulses: (gdim,) on each contactor (N s).
+        by_obstacles, by_supports: work of obstacles and of supports that move, which bear impulses of the bodies' mass (J).
+        impulses: (gdim,) on each contactor (N s).
     """
 
     lost: float
     friction: float
     by_obstacles: float
+    by_supports: float
     impulses: list[Array]
 
 
@@ -74,6 +77,7 @@ class VelocityProjection:
         self._layouts = [problem.bodies.layout]
         self._layouts += [Layout.of(pair.multiplier.field.function_space) for pair in problem.pairs]
         self._couples = [np.empty((2, 0), dtype=np.int64) for _ in problem.pairs]
+        self._supports = _Supports(problem) if any(body.bcs for body in problem.bodies.bodies) else None
         self._nest: Any = None
         self._solver: Any = None
 
@@ -84,7 +88,7 @@ class VelocityProjection:
         problem = self._problem
         closed = [any_over(problem.comm, pair.active.closed.any()) for pair in problem.pairs]
         if not any(closed):
-            return Settled(0.0, 0.0, 0.0, [np.zeros(problem.gdim) for _ in problem.pairs])
+            return Settled(0.0, 0.0, 0.0, 0.0, [np.zeros(problem.gdim) for _ in problem.pairs])
         hold: list[Bool] = [np.ones(pair.integration.size, dtype=bool) for pair in problem.pairs]
         for round_ in range(PASSES + 1):
             parts = self._parts(hold, drag=True)
@@ -100,8 +104,9 @@ class VelocityProjection:
             δv, impulses, lost, gain = self._solve(parts, Δt)
             found, work = self._impulses(parts, impulses, Δt)
         fields = [motion.velocity for motion in self._motions]
+        by_supports = 0.0 if self._supports is None else self._supports.work(δv)
         problem.bodies.spread(problem.bodies.owned(fields) + δv, fields)
-        return Settled(lost, work - gain - lost, work, found)
+        return Settled(lost, work - gain - lost, work, by_supports, found)
 
     def _parts(self, hold: list[Bool], drag: bool) -> list[_Part]:
         pairs = zip(self._problem.pairs, self._density, hold, strict=True)
@@ -189,6 +194,24 @@ class VelocityProjection:
 def _nodes(pair: ContactPair, facet: Index, target: Index) -> Index:
     """(n, nodes) global blocks of the nodes of contactor and target facets (n,)."""
     return np.concatenate([pair.blocks.contactor[facet], pair.target.blocks[pair.target.facets[target]]], axis=1)
+
+
+class _Supports:
+    """What holds prescribed velocities to what they are, as the bodies' mass jerks at them."""
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self._problem = problem
+        self._held, self._change = ([fem.Function(m.u.function_space) for m in problem.motions] for _ in range(2))
+        fields = zip(problem.motions, self._held, self._change, strict=True)
+        self._products = [motion.mass_product(held, change) for motion, held, change in fields]
+
+    def work(self, δv: Array) -> float:
+        """𝐯·𝐌 δ𝐯 over the prescribed components of 𝐯, in which δ𝐯 (owned dofs,) is zero (J); collective."""
+        bodies = self._problem.bodies
+        bodies.spread(δv, self._change)
+        for motion, body, held in zip(self._problem.motions, bodies.bodies, self._held, strict=True):
+            held.x.array[:] = body.prescribed().x.array * motion.velocity.x.array
+        return sum_over(self._problem.comm, sum(float(fem.assemble_scalar(form)) for form in self._products))
 
 
 class _Part:
