@@ -562,11 +562,12 @@ class ContactProblem:
 
     def ties_bear(self) -> Bearing:
         """What ties bear, as shares of the contact forces on each piece, of the largest in this solve: what one side alone
-        presses on is pushed away from it (collective)."""
+        presses on is pushed away from it (collective). Forces that balance each other on a piece count, as of a disc in its
+        hole."""
         assert self.ties is not None
         pressed = np.zeros(self.bodies.pieces)
         for pair, touched in zip(self.pairs, self._touched, strict=True):
-            pressed += touched * float(np.linalg.norm(pair.force()))
+            pressed += touched * pair.pressing()
         np.maximum(self._pressed, pressed, out=self._pressed)
         bear = self.ties.bearing(self.bulk_forces.array_r, self._pressed, pressed, NOISE * self.force_floor)
         for _, touched in product(self.pairs, self._touched):  # what pushes a piece pushes others that it presses on

@@ -82,6 +82,10 @@ class PairResults:
         """(gdim,) resultant of the contact tractions on the contactor (N), collective."""
         return np.asarray(sum_over(self.comm, self.j @ self.kinematics.traction(self.state)))
 
+    def pressing(self) -> float:
+        """∫ |𝐭| dS₀ over the contactor (N), collective: of tractions that balance each other, too."""
+        return sum_over(self.comm, float(self.j @ np.linalg.norm(self.kinematics.traction(self.state), axis=1)))
+
     def moment(self, about: Sequence[float]) -> Array:
         """Moment of the contact tractions on the contactor about a point (N m; 3 components, or 1 in the plane),
         collective. A rigid obstacle feels the opposite, as it does of :meth:`force`."""
