@@ -27,6 +27,7 @@ from dolfinx_mortar_al.problem import ContactProblem, Snapshot, check_problem
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.stepping import Attempt, Bar, Controller, Event, March, StepFailure
+from dolfinx_mortar_al.supports import Supports
 from dolfinx_mortar_al.velocity_projection import VelocityProjection
 
 __all__ = ["Ledger", "Motion", "Step", "StepFailure", "march"]
@@ -190,7 +191,8 @@ class _TimeControl(Controller[Step]):
         for motion in self.motions:
             motion.take_up()
         self.levels = [pair.use_steps() for pair in self.problem.pairs]
-        self._projection = VelocityProjection(self.problem)
+        self._supports = Supports(self.problem)
+        self._projection = VelocityProjection(self.problem, self._supports)
         self.problem.evaluate()
         now = self._with_state(Ledger(0.0, 0.0) if self._given is None else self._given)
         self.ledger = now if self._given is None else self._given
@@ -322,19 +324,6 @@ class _TimeControl(Controller[Step]):
         normal, tangential, by_obstacles = sums.tolist()
         return _Work(normal, tangential, by_obstacles, self.ledger.contact - stored - normal)
 
-    def _support_work(self) -> float:
-        """What supports that move put in during the step (J): what they bear in the mean over it, times their way."""
-        if not any(body.bcs for body in self.problem.bodies.bodies):
-            return 0.0
-        work = 0.0
-        for body, motion, forces in zip(
-            self.problem.bodies.bodies, self.motions, self.problem.support_forces(), strict=True
-        ):
-            n = len(forces)
-            held = body.prescribed().x.array[:n] > 0
-            work += float(forces[held] @ (motion.u.x.array[:n] - motion.old.x.array[:n])[held])
-        return sum_over(self.problem.comm, work)
-
     def _local_error(self, Δt: float) -> float:
         """What the mid-point rule leaves out in this step, Δt³ 𝐮‴/12 (m): the root mean square over the components of each
         connected body, of which the largest, so that those at rest do not hide what a small one does. For Δt 𝐮‴ the jump of
@@ -363,7 +352,9 @@ class _TimeControl(Controller[Step]):
     def _settle(self) -> None:
         """The state at the end of the step: velocities that contact allows, and its ledger."""
         problem, last, done, Δt = self.problem, self.ledger, self._work, self._trial
-        work = sum(motion.external_work() for motion in self.motions) + done.by_obstacles + self._support_work()
+        work = (
+            sum(motion.external_work() for motion in self.motions) + done.by_obstacles + self._supports.work_in_step()
+        )
         for motion in self.motions:
             motion.accept()
         settled = self._projection.apply(Δt, -done.tangential)

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from dolfinx import fem
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
@@ -30,6 +29,7 @@ from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.reductions import all_over, any_over, sum_over
 from dolfinx_mortar_al.step_level import StepLevel
+from dolfinx_mortar_al.supports import Supports
 
 __all__ = ["Settled", "VelocityProjection"]
 
@@ -67,9 +67,10 @@ class VelocityProjection:
 
     Args:
         problem: made of motions; its pairs have step kinematics.
+        supports: its prescribed components.
     """
 
-    def __init__(self, problem: ContactProblem) -> None:
+    def __init__(self, problem: ContactProblem, supports: Supports) -> None:
         self._problem, self._motions = problem, problem.motions
         self._mass, diagonals = problem.masses([motion.mass_form for motion in problem.motions])
         #: (kg/m²) of each pair's surface
@@ -77,7 +78,7 @@ class VelocityProjection:
         self._layouts = [problem.bodies.layout]
         self._layouts += [Layout.of(pair.multiplier.field.function_space) for pair in problem.pairs]
         self._couples = [np.empty((2, 0), dtype=np.int64) for _ in problem.pairs]
-        self._supports = _Supports(problem) if any(body.bcs for body in problem.bodies.bodies) else None
+        self._supports = supports
         self._nest: Any = None
         self._solver: Any = None
 
@@ -104,7 +105,7 @@ class VelocityProjection:
             δv, impulses, lost, gain = self._solve(parts, Δt)
             found, work = self._impulses(parts, impulses, Δt)
         fields = [motion.velocity for motion in self._motions]
-        by_supports = 0.0 if self._supports is None else self._supports.work(δv)
+        by_supports = self._supports.work_in_projection(δv)
         problem.bodies.spread(problem.bodies.owned(fields) + δv, fields)
         return Settled(lost, work - gain - lost, work, by_supports, found)
 
@@ -194,24 +195,6 @@ class VelocityProjection:
 def _nodes(pair: ContactPair, facet: Index, target: Index) -> Index:
     """(n, nodes) global blocks of the nodes of contactor and target facets (n,)."""
     return np.concatenate([pair.blocks.contactor[facet], pair.target.blocks[pair.target.facets[target]]], axis=1)
-
-
-class _Supports:
-    """What holds prescribed velocities to what they are, as the bodies' mass jerks at them."""
-
-    def __init__(self, problem: ContactProblem) -> None:
-        self._problem = problem
-        self._held, self._change = ([fem.Function(m.u.function_space) for m in problem.motions] for _ in range(2))
-        fields = zip(problem.motions, self._held, self._change, strict=True)
-        self._products = [motion.mass_product(held, change) for motion, held, change in fields]
-
-    def work(self, δv: Array) -> float:
-        """𝐯·𝐌 δ𝐯 over the prescribed components of 𝐯, in which δ𝐯 (owned dofs,) is zero (J); collective."""
-        bodies = self._problem.bodies
-        bodies.spread(δv, self._change)
-        for motion, body, held in zip(self._problem.motions, bodies.bodies, self._held, strict=True):
-            held.x.array[:] = body.prescribed().x.array * motion.velocity.x.array
-        return sum_over(self._problem.comm, sum(float(fem.assemble_scalar(form)) for form in self._products))
 
 
 class _Part:
