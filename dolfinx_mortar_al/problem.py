@@ -520,8 +520,12 @@ class ContactProblem:
         """What resists rigid motions in this state, from the displacements that nodal forces (owned dofs,) lead to
         (collective)."""
         if self.ties is not None:
-            pressed = [float(np.sum(pair.j * pair.state.p)) for pair in self.pairs]
-            self.ties.measure(response, self._rubbing, sum_over(self.comm, np.array(pressed)) @ np.array(self._touched))
+            self.ties.measure(response, self._rubbing, self._pressing())
+
+    def _pressing(self) -> Array:
+        """(pieces,) what pairs press on each piece with, balanced or not (N, collective)."""
+        pressed = np.array([pair.pressing() for pair in self.pairs])
+        return np.asarray(pressed @ np.array(self._touched, dtype=float))
 
     def _relative(self, motions: Array) -> list[Array]:
         """(n, motions, gdim) velocities of each pair's points relative to what they face that displacements (owned dofs,
@@ -565,9 +569,7 @@ class ContactProblem:
         presses on is pushed away from it (collective). Forces that balance each other on a piece count, as of a disc in its
         hole."""
         assert self.ties is not None
-        pressed = np.zeros(self.bodies.pieces)
-        for pair, touched in zip(self.pairs, self._touched, strict=True):
-            pressed += touched * pair.pressing()
+        pressed = self._pressing()
         np.maximum(self._pressed, pressed, out=self._pressed)
         bear = self.ties.bearing(self.bulk_forces.array_r, self._pressed, pressed, NOISE * self.force_floor)
         for _, touched in product(self.pairs, self._touched):  # what pushes a piece pushes others that it presses on

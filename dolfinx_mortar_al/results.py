@@ -83,16 +83,14 @@ class PairResults:
         return np.asarray(sum_over(self.comm, self.j @ self.kinematics.traction(self.state)))
 
     def pressing(self) -> float:
-        """∫ |𝐭| dS₀ over the contactor (N), collective: of tractions that balance each other, too."""
-        return sum_over(self.comm, float(self.j @ np.linalg.norm(self.kinematics.traction(self.state), axis=1)))
+        """∫ p dS₀ over the contactor (N), collective: of pressures that balance each other, too."""
+        return sum_over(self.comm, float(self.j @ self.state.p))
 
     def moment(self, about: Sequence[float]) -> Array:
         """Moment of the contact tractions on the contactor about a point (N m; 3 components, or 1 in the plane),
         collective. A rigid obstacle feels the opposite, as it does of :meth:`force`."""
-        arm, t = (
-            self.kinematics.x - vector("about", about, self.gdim),
-            self.j[:, None] * self.kinematics.traction(self.state),
-        )
+        arm = self.kinematics.x - vector("about", about, self.gdim)
+        t = self.j[:, None] * self.kinematics.traction(self.state)
         if self.gdim == 3:
             return np.asarray(sum_over(self.comm, np.cross(arm, t).sum(axis=0)))
         return np.atleast_1d(sum_over(self.comm, float(np.sum(arm[:, 0] * t[:, 1] - arm[:, 1] * t[:, 0]))))
