@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.surface import Facets, GatheredFacets, surface_normal
+from dolfinx_mortar_al.surface import SHARP, Facets, GatheredFacets, surface_normal
 
 __all__ = ["SharpCorners"]
 
@@ -20,8 +20,6 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
-# A round body has three facets at least on a right angle, which turn by 30°; a chamfer, which is a corner, by 45°.
-SHARP = np.cos(np.deg2rad(37.5))
 HALF = 0.5  # of the most closed face's share: more open ones have no part in a corner's node
 ROUND_OFF = 1e-9  # of a share: on any number of ranks the same
 

@@ -24,11 +24,13 @@ from dolfinx_mortar_al.validation import are_tags_of, vector, whole
 if TYPE_CHECKING:
     from dolfinx_mortar_al.contact import Contact
 
-__all__ = ["Facets", "GatheredFacets", "ShapeFunctions", "Surface", "check_surfaces", "surface_normal"]
+__all__ = ["SHARP", "Facets", "GatheredFacets", "ShapeFunctions", "Surface", "check_surfaces", "surface_normal"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+# A round body has three facets at least on a right angle, which turn by 30°; a chamfer, which is a corner, by 45°.
+SHARP = np.cos(np.deg2rad(37.5))
 FLAT = 1e-6  # rad: what straight surfaces turn by in round-off
 SQUARES = ((0, 4, 5, 8), (4, 1, 8, 6), (5, 8, 2, 7), (8, 6, 7, 3))  # of a quadrilateral of order 2, by its nodes
 
@@ -377,12 +379,17 @@ class GatheredFacets:
         return np.asarray(grown[self.neighbours].all(axis=1))
 
     @cached_property
-    def normals_at_corners(self) -> Array:
-        """(nf, corners, gdim) the mean unit normal of the facets that meet at each corner, in the reference configuration."""
+    def _own_normals(self) -> Array:
+        """(nf, corners, gdim) each facet's unit normal at its corners, in the reference configuration."""
         tangents = self.shape.tabulate(self.shape.corners, 1)[1] @ self.X[self.facets][:, None]
         normal = surface_normal(tangents) * self.orientation[:, None, None]
+        return np.asarray(normal / np.linalg.norm(normal, axis=2, keepdims=True))
+
+    @cached_property
+    def normals_at_corners(self) -> Array:
+        """(nf, corners, gdim) the mean unit normal of the facets that meet at each corner, in the reference configuration."""
         corners, mean = self.facets[:, : len(self.shape.corners)], np.zeros_like(self.X)
-        np.add.at(mean, corners, normal / np.linalg.norm(normal, axis=2, keepdims=True))
+        np.add.at(mean, corners, self._own_normals)
         return np.asarray(mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300))[corners]
 
     @cached_property
@@ -394,11 +401,15 @@ class GatheredFacets:
     @cached_property
     def sagittas(self) -> Array:
         """(nf,) how far facets fall short of the smooth surface that they stand for (m): one that turns by θ over a facet of
-        length h rises by hθ/8, and what a curved facet rises by itself does not lack."""
+        length h rises by hθ/8, and what a curved facet rises by itself does not lack. None beside a sharp corner or edge,
+        from which a straight flank may go on."""
         X, N = self.X[self.facets], ShapeFunctions(self.shape.cell, 1).tabulate(self.shape.nodes)[0]
         risen = np.linalg.norm(X - N @ X[:, : N.shape[1]], axis=2).max(axis=1)
         length = 2 * np.linalg.norm(X - X.mean(axis=1, keepdims=True), axis=2).max(axis=1)
-        return np.where(self.turns > FLAT, np.maximum(length * self.turns / 8 - risen, 0.0), 0.0)
+        normal = self._own_normals.mean(axis=1)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        is_smooth = (np.einsum("fi,fki->fk", normal, normal[self.neighbours]) > SHARP).all(axis=1)
+        return np.where(is_smooth & (self.turns > FLAT), np.maximum(length * self.turns / 8 - risen, 0.0), 0.0)
 
     @cached_property
     def size_of_facets(self) -> float:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dolfinx_mortar_al import Body, Contact, ContactProblem, NewtonSolver, Surface, materials, quasistatic
+from dolfinx_mortar_al.surface import Facets
 from dolfinx_mortar_al.verify.meshes import build, grid
 from dolfinx_mortar_al.verify.model import hold, space
 
@@ -70,6 +71,14 @@ def test_gaps_that_are_pressed_away_are_not_said():
     assert not said(problem)
     assert pair.closed_fraction() == pytest.approx(1.0)
     assert np.linalg.norm(pair.force()) / lame(1e-2) == pytest.approx(np.sqrt(2.0), rel=0.1)
+
+
+def test_straight_flanks_beside_sharp_corners_are_not_curved():
+    """All sides of a square: mean normals turn at its corners, but nothing stands for a curved surface."""
+    domain, _, tags = build([grid([np.linspace(0, 1, 5)] * 2, {(axis, end): 1 for axis in (0, 1) for end in (0, -1)})])
+    contactor = Facets.of(Surface(domain, tags, 1), space(domain, 1)[0]).gather()
+    assert contactor.turns.max() > 0.7
+    assert not contactor.sagittas.any()
 
 
 @pytest.mark.parametrize("facets", [(20, 23), (40, 13), (18, 43)])
