@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import ufl
 from dolfinx import fem
+from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.core.expr import Expr
 
 from dolfinx_mortar_al.validation import check_law, constant_value, is_ufl, number, positive_or_ufl
@@ -91,9 +92,13 @@ class Hyperelastic(ABC):
 
     @property
     def is_nearly_incompressible(self) -> bool:
-        """Whether Λ is far above G (ν > .4545), or may be, being an expression."""
-        G, Λ = constant_value(self.G), constant_value(self.lame)
-        return isinstance(G, Expr) or isinstance(Λ, Expr) or bool(Λ > STIFF_IN_VOLUME * G)
+        """Whether Λ is far above G (ν > .4545), or may be somewhere, of moduli that are fields."""
+        ratio = self.lame / self.G
+        if isinstance(ratio, Expr):
+            if extract_coefficients(ratio):
+                return True
+            ratio = ratio((), {c: float(c.value) for c in extract_constants(ratio)})
+        return bool(ratio > STIFF_IN_VOLUME)
 
     @abstractmethod
     def energy_of_strain(self, C: Expr) -> Expr:
