@@ -91,6 +91,13 @@ def blocks(comm=MPI.COMM_WORLD, *, order=2, friction=0.0, pressure=0.0, dim=2, t
     return ContactProblem(F, u, bcs=bcs, contacts=[contact_of(domain, tags, friction=friction, **options)]), p
 
 
+def marked(kind, domain, tags, tag):
+    """The measure of what a tag marks, as tag 1, so that forms over all of them compile once."""
+    found = tags.find(tag)
+    one = meshtags(domain, tags.dim, found, np.ones(len(found), dtype=np.int32))
+    return ufl.Measure(kind, domain, subdomain_data=one)(1)
+
+
 def set_field(problem, displacement, multiplier=None, clamped=True):
     """u = displacement(X) with X (n, gdim), zero where prescribed if `clamped`, and Λ = multiplier(X)."""
     V = problem.u.function_space

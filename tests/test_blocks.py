@@ -5,6 +5,8 @@ import pytest
 
 from dolfinx_mortar_al.blocks import sums_of_products
 
+pytestmark = pytest.mark.one_rank
+
 
 @pytest.mark.parametrize("lengths", [[1, 1, 1], [5], [1, 9, 2, 2, 30, 1], []])
 def test_products_are_summed_over_each_run(lengths):

@@ -89,7 +89,7 @@ def assert_same_history(cut, whole, share):
             assert np.allclose(cut[name], whole[name], rtol=0, atol=share * size), name
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own ranks")
+@pytest.mark.one_rank
 @pytest.mark.parametrize(
     "kind, ranks, kills", [("impact", 1, 3), ("impact", 2, 3), ("bending", 1, 3), *((demo, 1, 2) for demo in DEMOS)]
 )
@@ -136,7 +136,7 @@ def run_with_faults(directory, steps, seed, faults):
         struck.append(kind)
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own ranks")
+@pytest.mark.one_rank
 def test_faults_on_one_rank_end_the_job_and_lose_nothing(tmp_path):
     """Exceptions, full disks and kills on one rank of two: the numbers of an undisturbed run (to 1e-7, the predictor)."""
     subprocess.run(command("bending", 2, tmp_path / "whole"), check=True, capture_output=True, timeout=300)

@@ -98,7 +98,13 @@ def check(run, deepest):
 
 
 @pytest.mark.parametrize(
-    "friction, integration", [(0.0, "gauss"), (0.4, "gauss"), (0.0, "segments"), (0.4, "segments")]
+    "friction, integration",
+    [
+        pytest.param(0.0, "gauss", marks=pytest.mark.one_rank),
+        (0.4, "gauss"),
+        (0.0, "segments"),
+        pytest.param(0.4, "segments", marks=pytest.mark.one_rank),
+    ],
 )
 def test_two_discs(friction, integration):
     """Energy, momenta and penetration at two steps (a closed point overlaps by what the facets' curvature leaves, seen 4 %
@@ -145,6 +151,7 @@ def test_two_balls(friction):
     check(collide(dim=3, step=1e-3, friction=friction, size=0.07, to=0.01), 0.15)
 
 
+@pytest.mark.several_ranks
 @pytest.mark.parametrize("dim, size, to", [(2, 0.04, 0.012), (3, 0.07, 0.004)])
 def test_together_and_alone(dim, size, to):
     """The same numbers on all ranks together and on each by itself."""
@@ -200,6 +207,7 @@ def test_a_thin_plate_is_not_tunnelled(contactor):
     assert momentum < -1e-3 * 20 * DENSITY * 0.04**2 or "pass through the target" in message  # the plate was pushed
 
 
+@pytest.mark.one_rank
 def test_a_point_that_comes_into_sight_deep_counts_from_there():
     """A lower block slides sideways until points of its top are under an upper one that reaches 2 cm deeper, past whose
     corner they have come: they stay open in that step, then resist from that depth on; what is pushed out is not let in
@@ -262,6 +270,7 @@ def heights(motion):
     return X[:, 1] + motion.u.x.array.reshape(-1, 2)[:, 1], X[:, 0]
 
 
+@pytest.mark.one_rank
 def test_cubes_on_edge():
     """Coarse cubes meet with edges across each other, sharp on this mesh: while multipliers' nodes there changed faces from
     step to step, contact gave energy, every step was refused in the end and the run failed."""
@@ -283,6 +292,7 @@ def middle(motion):
     return MPI.COMM_WORLD.allreduce(float(y[np.abs(x) < 1e-9].min(initial=np.inf)), MPI.MIN)
 
 
+@pytest.mark.one_rank
 def test_steps_by_local_error():
     """With a tolerance Δt is the longest in flight, shrinks at the impact and grows back; velocities are nearer to those of
     short steps than those of as many equal ones."""

@@ -59,6 +59,7 @@ def test_old_factors_bring_the_bulk_into_balance_where_contact_stays(monkeypatch
     assert taken[1] < taken[0]
 
 
+@pytest.mark.one_rank
 def test_a_step_that_is_undone_leaves_nothing_behind_although_segments_have_moved(monkeypatch):
     """Decisions belong to points, and segments bring others: here every improved step is taken back. The forces agree to how
     closely segments follow, 3e-5 of a facet (seen: 7e-6)."""
@@ -73,6 +74,7 @@ def test_a_step_that_is_undone_leaves_nothing_behind_although_segments_have_move
     assert np.allclose(*answers, rtol=0, atol=3e-5 * np.abs(answers).max())
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("cells", [4, 7, 9])
 def test_iterations_do_not_grow_with_the_mesh(cells):
     """A punch pressed into a slab in space in three steps: with twice as many facets to go Newton takes one iteration for
@@ -83,6 +85,7 @@ def test_iterations_do_not_grow_with_the_mesh(cells):
     assert sum(step.rejected for step in steps) == 0
 
 
+@pytest.mark.one_rank
 def test_a_first_step_over_many_facets_goes_through():
     """The punch moves on by 13 facets, half of the zone's width, with nothing to predict it from: the guard shortens Newton's
     steps, and contact settles on the share that is left (seen: 11 iterations; without that 23 and a rejected trial)."""
@@ -109,6 +112,7 @@ def test_an_old_derivative_that_makes_it_worse_is_not_used():
     assert sum(step.iterations for step in steps) <= 30
 
 
+@pytest.mark.one_rank
 def test_segments_follow_within_an_iteration():
     """Pressed and dragged in space with segments, which move with the bodies: no more iterations than with points that stay
     (12 and 12; 18 where they moved after each iteration, whose residual was another then)."""

@@ -50,6 +50,7 @@ PRESS = Stage("press", 2, (0.0, -DEPTH))
 AWAY, BACK = Stage("away", 8, (0.8, -DEPTH)), Stage("back", 8, (0.0, -DEPTH))
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("sides", [False, True], ids=["bottom", "sides too"])
 @pytest.mark.parametrize("swap", [False, True], ids=["block", "slab"])
 @pytest.mark.parametrize("friction", [0.0, 0.3])
@@ -75,6 +76,7 @@ def test_past_the_end_and_back(order, simplices, friction, swap, sides):
         assert np.all(np.abs(ratio - friction) < 0.06)
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("sides", [False, True], ids=["bottom", "sides too"])
 @pytest.mark.parametrize("swap", [False, True], ids=["block", "slab"])
 def test_corners_in_the_middle_of_a_facet(swap, sides):
@@ -91,6 +93,7 @@ def test_corners_in_the_middle_of_a_facet(swap, sides):
     assert np.allclose(forces, FORCE, rtol=0.08 if swap else 0.02)
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 @pytest.mark.parametrize("order, simplices", [(1, False), (2, True)])
 def test_open_sides_change_nothing(order, simplices, friction):
@@ -107,6 +110,7 @@ def test_open_sides_change_nothing(order, simplices, friction):
     assert deep[1] < 1.5 * deep[0]
 
 
+@pytest.mark.one_rank
 def test_a_corner_in_a_drag_does_not_dig_in():
     """A soft inclined block, dragged with μ = 0.75 over a stiff slab, leans on its leading corner, and the side above turns
     towards the slab. While that face had as much part in the corner's node as the bottom, the corner was 0.26 facets deep."""
@@ -153,6 +157,7 @@ def test_a_force_along_coarse_normals_is_said():
         assert share is None and along < 2e-3
 
 
+@pytest.mark.one_rank
 def test_faces():
     """A cube's vertex has three; a polygon of twelve sides is round, one of eight has corners."""
     face, corner = _faces(np.array([7, 3, 7, 7]), np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, 0], [0, 0, 1]]))
@@ -165,6 +170,7 @@ def test_faces():
         assert np.all((face >= 0) == sharp)
 
 
+@pytest.mark.one_rank
 def test_a_face_that_other_facets_join_is_one():
     """Facets round a node whose normals turn by 30° from each to the next, 90° in all."""
     angle = np.deg2rad([0, 60, 90, 30])
@@ -172,6 +178,7 @@ def test_a_face_that_other_facets_join_is_one():
     assert len(corner) == 0 and np.all(face == -1)
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("tilt, shared", [(0.4, False), (0.8, True)])
@@ -238,6 +245,7 @@ def test_matching_flat_cells(projection):
     assert np.allclose(problem.pairs[0].state.p, 2e4, rtol=1e-8)
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("cell", ["line", "triangle", "quadrilateral"])
 def test_the_closest_points_normal_at_a_vertex_is_no_noise(cell):
     """Points on vertices but for round-off, which is much far from the origin: no normal in its direction."""

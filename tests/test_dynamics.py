@@ -211,6 +211,7 @@ def test_loss_of_ellipticity_ends_the_run_with_its_place():
     assert problem.inverted_volume() == 0.0
 
 
+@pytest.mark.several_ranks
 def test_ranks_agree_with_one_rank():
     found = []
     for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):

@@ -466,7 +466,7 @@ def on_top(x):
     return np.isclose(x[1], 1.0)
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size == 1, reason="needs ranks that differ")
+@pytest.mark.several_ranks
 @pytest.mark.parametrize(
     "name, words",
     [
@@ -555,7 +555,7 @@ def test_a_folder_that_cannot_be_made(shared_path):
             make(shared_path / "file")
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own ranks")
+@pytest.mark.one_rank
 def test_an_exception_on_one_rank_ends_the_job():
     """The other rank waits in a collective call; the traceback is printed once, within seconds."""
     script = "import dolfinx_mortar_al\nfrom mpi4py import MPI\nc = MPI.COMM_WORLD\n1 / c.rank\nc.Barrier()"
@@ -567,7 +567,7 @@ def test_an_exception_on_one_rank_ends_the_job():
     assert "rank 0 of 2 failed while others went on" in run.stderr
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own ranks")
+@pytest.mark.one_rank
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_a_script_ends_with_the_message_and_a_non_zero_status(ranks):
     root = Path(__file__).parents[1]
@@ -606,7 +606,7 @@ def squares():
     return made
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size == 1, reason="needs ranks that differ")
+@pytest.mark.several_ranks
 @pytest.mark.parametrize(
     "what", ["bcs", "bcs of a Body", "contacts", "material", "external", "tag", "quadrature", "rtol"]
 )
@@ -729,7 +729,7 @@ def test_a_march_whose_steps_nobody_asks_for():
         next(quasistatic.march(problem, P, to=1.0, increments=2))
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own process")
+@pytest.mark.one_rank
 def test_a_program_that_ends_within_a_march():
     """It ends as it would without: the march does not outlive PETSc."""
     script = (
@@ -741,7 +741,7 @@ def test_a_program_that_ends_within_a_march():
     )
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts its own process")
+@pytest.mark.one_rank
 @pytest.mark.parametrize("solve", [False, True])
 def test_options_that_nothing_reads(solve):
     """A misspelt option is named; of options that the user has not set PETSc says nothing at its end."""

@@ -12,6 +12,8 @@ from scipy.optimize import brentq
 
 from exact.two_membranes import MembraneState, TwoMembranes, thickness_stretch_squared
 
+pytestmark = pytest.mark.one_rank
+
 # (shift, friction, fraction of the way from the first contact to the lock)
 SCENES = [(1.0, 0.0, 0.3), (1.0, 0.0, 0.99), (1.0, 0.2, 0.6), (1.0, 0.5, 0.05), (1.0, 0.5, 0.6), (1.0, 0.5, 0.99)]
 SCENES += [(0.5, 0.0, 0.5), (0.5, 0.25, 0.7), (1.5, 0.5, 0.7), (2.0, 1.0, 0.5)]

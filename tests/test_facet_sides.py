@@ -8,6 +8,8 @@ from dolfinx_mortar_al.closest_point import project
 from dolfinx_mortar_al.facet_sides import is_behind
 from dolfinx_mortar_al.search import candidates
 
+pytestmark = pytest.mark.one_rank
+
 
 @pytest.mark.parametrize("depth", [0.0, 0.01])
 @pytest.mark.parametrize("crumpled", [0.0, 0.3], ids=["smooth", "crumpled"])

@@ -6,6 +6,8 @@ import pytest
 from dolfinx_mortar_al.law import OPEN, SLIP, STICK, Augmentation, Coulomb, Frictionless, augmented_normal
 from dolfinx_mortar_al.projection import Projection, TargetPoint
 
+pytestmark = pytest.mark.one_rank
+
 
 def point_geometry(ν, g):
     """A projection of which the law reads ν, g and `facing` only."""

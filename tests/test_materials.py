@@ -9,6 +9,8 @@ from mpi4py import MPI
 
 from dolfinx_mortar_al import materials
 
+pytestmark = pytest.mark.one_rank
+
 
 @pytest.mark.parametrize("law", [materials.saint_venant_kirchhoff, materials.neo_hookean])
 @pytest.mark.parametrize("dim", [2, 3])

@@ -11,6 +11,8 @@ import pytest
 from benchmarks import parts, work_precision
 from demos import report_kept
 
+pytestmark = pytest.mark.one_rank
+
 ROOT = Path(__file__).resolve().parents[1]
 FULL_RUN = ROOT / "docs" / "full_run"
 

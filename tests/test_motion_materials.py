@@ -105,6 +105,7 @@ def sheet(dim):
     return u, mesh.meshtags(domain, dim - 1, np.arange(count, dtype=np.int32), np.ones(count, dtype=np.int32))
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("nu", [0.0, 0.45])
 def test_membrane_stress_does_the_work_of_its_energy(dim, nu):
@@ -129,6 +130,7 @@ def test_membrane_stress_does_the_work_of_its_energy(dim, nu):
     assert fem.assemble_scalar(work) == pytest.approx(1e-3 * exact, rel=1e-4)
 
 
+@pytest.mark.one_rank
 def test_a_membrane_bounces_and_keeps_its_energy():
     """A flat, slack sheet thrown at the floor: contact takes what the impact of nodes takes, and nothing else is lost."""
     u, cells = sheet(2)

@@ -7,6 +7,8 @@ from dolfinx_mortar_al.obstacles import Obstacle, Pose, RigidCylinder, RigidPlan
 from dolfinx_mortar_al.surface import surface_normal
 from dolfinx_mortar_al.variation import Slots, vary
 
+pytestmark = pytest.mark.one_rank
+
 OBSTACLES = {
     "line": lambda: RigidPlane(point=[0.2, -0.1], normal=[0.3, 2.0]),
     "plane": lambda: RigidPlane(point=[0.2, -0.1, 0.4], normal=[0.3, -1.0, 2.0]),

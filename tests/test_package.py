@@ -8,7 +8,6 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from mpi4py import MPI
 
 CLONE = Path(__file__).parents[1]
 
@@ -36,7 +35,7 @@ for step in quasistatic.march(problem, load, to=0.1, increments=2):
 """
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="installs into a folder of one process")
+@pytest.mark.one_rank
 def test_an_installed_copy_works_from_another_folder(tmp_path):
     """The wheel holds the package and nothing else; a scene runs from it, away from the clone."""
     build = f"from setuptools.build_meta import build_wheel; build_wheel({str(tmp_path)!r})"

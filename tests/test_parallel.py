@@ -20,6 +20,7 @@ from meshes.ironing import PUNCH, PUNCH_BOTTOM, PUNCH_TOP, SLAB, SLAB_BOTTOM, SL
 from meshes.two_beams import LOWER_TOP, UPPER_BOTTOM
 
 
+@pytest.mark.several_ranks
 @pytest.mark.parametrize(
     "dim, triangles, friction, projection",
     [(2, False, 0.0, "rays"), (2, True, 0.3, "rays"), (2, False, 0.3, "closest"), (3, False, 0.3, "rays")],
@@ -38,7 +39,7 @@ def test_together_and_alone(dim, triangles, friction, projection):
     assert together[2] == pytest.approx(alone[2], rel=1e-12)
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size == 1, reason="one rank has all")
+@pytest.mark.several_ranks
 def test_a_mesh_is_shared_out_alike_each_time():
     """Twenty times; with four threads PT-Scotch makes 20 partitions of this mesh, on two and on three ranks."""
     found = set()
@@ -48,6 +49,7 @@ def test_a_mesh_is_shared_out_alike_each_time():
     assert len(found) == 1
 
 
+@pytest.mark.several_ranks
 @pytest.mark.parametrize("dim", [2, 3])
 def test_corners_together_and_alone(dim):
     """A block whose sides are in its surface: facets at an edge may be those of different ranks."""
@@ -90,6 +92,7 @@ def ironing(comm, slab_is_contactor):
     return problem, iterations
 
 
+@pytest.mark.several_ranks
 @pytest.mark.parametrize("slab_is_contactor", [False, True], ids=["punch", "slab"])
 def test_ironing_together_and_alone(slab_is_contactor):
     """Ranks without a part of the punch or of the zone, and points that slide from facet to facet, stick and slip."""
@@ -108,6 +111,7 @@ def test_ironing_together_and_alone(slab_is_contactor):
     assert pair.stick_fraction() == pytest.approx(other.stick_fraction(), rel=1e-12)
 
 
+@pytest.mark.several_ranks
 @pytest.mark.parametrize("kind", ["direct", "iterative"])
 def test_block_in_space_together_and_alone(kind):
     """Pressed and dragged with friction, by MUMPS and by FGMRES, whose multigrid is another on each number of ranks."""

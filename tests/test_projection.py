@@ -10,6 +10,8 @@ from dolfinx_mortar_al.closest_point import project
 from dolfinx_mortar_al.search import CandidateSearch, candidates, ray_candidates
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions
 
+pytestmark = pytest.mark.one_rank
+
 CELLS = {
     "line": basix.CellType.interval,
     "triangle": basix.CellType.triangle,

@@ -15,6 +15,8 @@ from dolfinx_mortar_al.search import RaySearch, candidates
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions, surface_normal
 from dolfinx_mortar_al.variation import Slots, vary
 
+pytestmark = pytest.mark.one_rank
+
 SURFACES = [(cell, order) for cell in CELLS for order in (1, 2)]
 
 

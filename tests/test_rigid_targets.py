@@ -91,6 +91,7 @@ def test_hertz():
     assert pair.largest_pressure() == pytest.approx(np.sqrt(F * E / (1 - NU**2) / (np.pi * 5.0)), rel=3e-2)
 
 
+@pytest.mark.several_ranks
 def test_ranks_agree_with_one_rank():
     found = []
     for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):

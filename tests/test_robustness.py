@@ -11,6 +11,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from robustness import BALANCE, DEEPEST, UNFELT, march
 from robustness_scenes import FAMILIES, draw
 
+pytestmark = pytest.mark.one_rank
+
 #: seed, number: quick ones; E of the upper body to the lower's from 1/130 (punch 11/0) to 640 (die), μ from 0 to 0.99 (half
 #: ring), up to 3.8 facets of sliding per increment; in four the lower body is the contactor; the
 #: last two, a ball and a dome of four facets, overlap unfelt or stand on one point with 6 and 25 points on a facet

@@ -23,6 +23,7 @@ def pressed(**options):
     return problem.pairs[0]
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("order", [1, 2])
 def test_images_are_where_rays_meet(order):
     """𝐱(η) + d 𝐧(η) is the given point."""
@@ -41,6 +42,7 @@ def test_images_are_where_rays_meet(order):
     assert np.abs(distance - d).max() < 1e-9
 
 
+@pytest.mark.one_rank
 def test_cuts_share_out_each_facet():
     """Whatever the cuts, the intervals of a facet go from 0 to 1 without gap; a sliver is none."""
     rng = np.random.default_rng(2)
@@ -83,6 +85,7 @@ def test_patch_with_the_sides_in_the_surface(order, multiplier, dim, triangles):
     assert np.abs(pair.state.p[closed] / PRESSURE - 1).max(initial=0.0) < 1e-10
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("window", [4, 3], ids=["square", "triangle"])
 def test_clipped_polygons_share_out_the_window(window):
     """Cut by random lines into convex cells, a square's or triangle's parts in them have its area, and so have their fans."""

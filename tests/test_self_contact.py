@@ -30,6 +30,7 @@ from meshes.two_beams import TwoBeams
 # ---------------------------------------------------------------- which side is contactor
 
 
+@pytest.mark.one_rank
 def test_every_couple_has_one_contactor():
     """Whatever the roles, exactly one of two facets is the contactor of the other, and none of itself."""
     rng = np.random.default_rng(0)
@@ -48,6 +49,7 @@ def roles(couples, gap, *, nf=8, extents=None, role=None, held=()):
     return assign(np.asarray(couples), np.asarray(gap, dtype=float), 1.0, neighbours, extents, role, holds).tolist()
 
 
+@pytest.mark.one_rank
 def test_roles_of_a_fold():
     """A line folded in its middle: one leg is contactor and the other target, whether the gap is widest at the tips or at the
     crease; the finer one, if one is finer; as before, where it is in contact."""

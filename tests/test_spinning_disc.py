@@ -118,6 +118,7 @@ def test_a_disc_that_grazes_or_flies_by_keeps_its_energy(gap, spin):
     assert flight.motion.momenta() == pytest.approx(flight.momenta, rel=1e-10)
 
 
+@pytest.mark.several_ranks
 def test_the_same_on_all_ranks_and_on_one():
     together, alone = (fly(spin=SPIN, to=0.008, comm=comm) for comm in (MPI.COMM_WORLD, MPI.COMM_SELF))
     assert len(together.steps) == len(alone.steps) == 8

@@ -255,7 +255,7 @@ def test_the_bar_is_closed_whatever_ends_the_march(ending):
     assert not tqdm._instances
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts a process of its own")
+@pytest.mark.one_rank
 def test_a_users_scene(tmp_path):
     """Press, drag and lift in fewer than 40 lines; while it is dragged back and forth friction is within μ of the normal
     force, and in the end there is none."""

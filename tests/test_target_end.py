@@ -91,6 +91,7 @@ def test_a_large_increment_keeps_the_end(kind, simplices, cells, swap, increment
     assert known[0] < 0.05  # the misfit of coarse curved surfaces; of the third one .14 % face nothing
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("swap", [False, True], ids=["block", "slab"])
 def test_what_slides_off_is_let_go(swap):
     """A block dragged half past the slab's end, by 12 of its facets in one increment or in eight, bears the same."""

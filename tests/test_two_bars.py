@@ -133,6 +133,7 @@ def test_bars_that_do_not_press(speed, gap):
     assert run.tips[:, 0] == pytest.approx([speed * 0.1, 0.0], abs=1e-12)
 
 
+@pytest.mark.several_ranks
 @pytest.mark.parametrize("dim, cells", [(2, 10), (3, 4)])
 def test_together_and_alone(dim, cells):
     """The same numbers on all ranks together and on each by itself."""

@@ -86,6 +86,7 @@ def drive(problem, load, increments=1, **options):
     return list(quasistatic.march(problem, load, to=1.0, increments=increments, start=0.0, **options))
 
 
+@pytest.mark.one_rank
 def test_a_beam_driven_into_another_in_two_increments():
     """The tip of one end would lie 0.8 facets deep in the other beam, where its points face nothing: such an increment fails,
     as Newton, whose points are held to the target's end, does not converge. (With smaller ones the march ends at a limit
@@ -155,6 +156,7 @@ def passes(surface, x0, x1, depth=0.05):
     return passed_through(surface, surface.X, surface.X, x0, x1, depth).tolist()
 
 
+@pytest.mark.one_rank
 def test_paths_through_a_line():
     """From above through a line of 4 m whose front is above; not from below, beside it, or less than the depth."""
     flat = line(np.stack([np.arange(5.0), np.zeros(5)], axis=1), orientation=-1.0)
@@ -163,6 +165,7 @@ def test_paths_through_a_line():
     ]  # fmt: skip
 
 
+@pytest.mark.one_rank
 def test_paths_over_a_bump_and_through_a_plate():
     """What comes out again elsewhere may have gone round; through the two sides of a plate it has not."""
     bump = line([[0, 0], [1, 0.5], [2, 0]], orientation=-1.0)
@@ -171,6 +174,7 @@ def test_paths_over_a_bump_and_through_a_plate():
     assert passes(plate, [1, 1], [1, -1]) == [True]
 
 
+@pytest.mark.one_rank
 def test_a_hollow_of_order_two_is_not_its_chord():
     """A parabola of 1 m, 0.1 m deep: what lies between it and its chord is in front of it. (Its two halves count as flat.)"""
     hollow = line([[0, 0], [0.5, -0.1], [1, 0]], order=2, orientation=-1.0)
@@ -179,6 +183,7 @@ def test_a_hollow_of_order_two_is_not_its_chord():
     assert found[0] < 0 < found[1] and found[2] == -np.inf
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("cell", [basix.CellType.interval, basix.CellType.triangle, basix.CellType.quadrilateral])
 @pytest.mark.parametrize("order", [1, 2])
 def test_pieces_fill_the_reference_facet(cell, order):
@@ -190,6 +195,7 @@ def test_pieces_fill_the_reference_facet(cell, order):
     assert abs(volume.sum() - basix.make_quadrature(cell, 1)[1].sum()) < 1e-14
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("dim", [2, 3])
 def test_paths_through_a_moving_obstacle(dim):
     """Against the distance of straight lines from centre or axis, in the obstacle's own axes."""
