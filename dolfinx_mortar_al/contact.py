@@ -28,6 +28,7 @@ from dolfinx_mortar_al.monitors import Finding, ModelWarning
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.pair_findings import PairFindings
+from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.reductions import any_over, max_over, min_over, sum_over
 from dolfinx_mortar_al.segments import Segments, segments_of
@@ -201,6 +202,8 @@ class ContactPair(PairFindings):
         redundant = self._redundant(fixed)
         #: (nf,) facets whose motion relative to the target is prescribed altogether
         self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))
+        surface = contact.target if isinstance(contact.target, Surface) else None
+        self._prescribed_nodes = PrescribedNodes(contact.contactor, self.target, surface, bodies)
         components = self.gdim if friction else 1
         self.multiplier = MultiplierSpace(self.facets, contact.multiplier_order, components, redundant)
         corners = None

@@ -479,7 +479,8 @@ class NewtonSolver:
 
     def _advice(self) -> str:
         """What a failed solve says of the equilibrium itself."""
-        p, parts = self.problem, []
+        p = self.problem
+        parts = [str(node) for pair in p.pairs if (node := pair.pushed_node()) is not None]
         if p.floating:
             rub = "" if all(pair.friction > 0 for pair in p.pairs) else "add friction, "
             off = self.snes.getFunction()[0].getNestSubVecs()[0]

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.law import OPEN
 from dolfinx_mortar_al.monitors import Finding
+from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import dot
 from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.results import PairResults
 from dolfinx_mortar_al.surface import GatheredFacets, surface_normal
 from dolfinx_mortar_al.targets import DeformableTarget
 
-__all__ = ["PairFindings"]
+__all__ = ["PUSHED", "PairFindings"]
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,10 @@ FINE = (
 STIFFER = 4.0  # of stiffnesses per area: pressures on finer contactors were off by more than a tenth from there on
 ALIKE = 0.99  # spacings that are the same but for the shape of facets
 OVERLAP = "both surfaces are prescribed there and overlap: no contact force can part them; change the prescribed values"
+PUSHED = (
+    "supports push this node into the other surface, which is held there, too, so that no contact force can part them: end "
+    "the support, or the surface, at the facet before, or change the prescribed values"
+)
 DEEP = (
     "the surfaces overlap where they are in contact, and much of the force comes from that: the contact is on parts of the "
     "contactor's facets, which do not resolve it; refine the contactor there"
@@ -70,6 +75,7 @@ class PairFindings(PairResults):
     #: whether the pressure comes near a body's moduli, so that surfaces would ripple but for ε
     is_pressed_hard: bool
     _prescribed_facets: NDArray[np.bool_]
+    _prescribed_nodes: PrescribedNodes
     #: the whole contactor, and (nf,) which of its facets this rank has
     _contactor: GatheredFacets
     _own: NDArray[np.int64]
@@ -113,6 +119,13 @@ class PairFindings(PairResults):
         return (
             Finding(f"{self.name}: overlap (m)", value, X, OVERLAP, True) if value > SHARE * self.target.size else None
         )
+
+    def pushed_node(self) -> Finding | None:
+        """The prescribed node of one surface that lies deepest in the other, which is held there as well (collective)."""
+        depth, X = self._prescribed_nodes.deepest()
+        if depth <= SHARE * self.target.size:
+            return None
+        return Finding(f"{self.name}: prescribed node's overlap (m)", depth, X, PUSHED, False)
 
     def overlap_in_contact(self) -> Finding | None:
         """Where closed points lie deep in the target while ε g, in place of multipliers, is a good part of the contact force

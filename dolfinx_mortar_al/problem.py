@@ -46,6 +46,10 @@ LET_GO = (
     "contact alone held it and does no more, so that nothing says where it is; press it on, hold one of its nodes, or let it "
     "move with dynamics.march"
 )
+FREE = (
+    "supports do not keep it in place and no load presses it on, so that nothing says where it is, or whether what it lies "
+    "on carries it along; press it on, hold one of its nodes, or let it move with dynamics.march"
+)
 SLIDE = (
     "share of the contact forces that push it where nothing resists, from pressures on a coarse mesh or a small load; a tie "
     "to where it was bears them; refine its surface, or prescribe the motion that is free, of one node"
@@ -53,7 +57,7 @@ SLIDE = (
 TOLD = 1e-3  # share of the contact forces that a tie may bear unsaid
 OUT_OF_BALANCE = 0.1  # of the worst: loose bodies that a failed solve names
 LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
-NOISE = 1e-3  # share of round-off in a body's forces below which a tie bears nothing
+NOISE = 1e-3  # share of round-off in a body's forces below which a tie bears nothing, and contact does not press on it
 SPARE = 2  # rings of target facets around contact in the plane that matrices have room for from the start
 UNSEEN = 1e-6  # share of round-off in a body's forces below which a load counts as none from the start
 
@@ -244,6 +248,9 @@ class ContactProblem:
         #: of pieces that contact alone holds; None if there are none
         self.ties = None if self.springs is None else Ties(self.bodies, self.springs.array_r * self._spring_shares)
         self._pressed: Array = np.zeros(self.bodies.pieces)  # most of the contact forces in this solve (N)
+        # which pieces nothing presses on: as found last, and in the last equilibrium
+        self._free: NDArray[np.bool_] = np.zeros(self.bodies.pieces, dtype=bool)
+        self._known_free: NDArray[np.bool_] = self._free
         if self.ties is not None:
             self.members["ties"] = self.ties
         for k in range(1, n):
@@ -459,8 +466,12 @@ class ContactProblem:
         each other or overlap unfelt (collective)."""
         looks = [monitor.look() for monitor in self.monitors]
         for pair in self.pairs:
-            looks += [pair.coarse_integration(), pair.fine_multiplier(), pair.prescribed_overlap(), *pair.unfelt()]
-            looks += [*pair.far_augmentation(), pair.turned_force()]
+            looks += [
+                pair.prescribed_overlap() or pair.pushed_node(),
+                pair.coarse_integration(),
+                pair.fine_multiplier(),
+            ]
+            looks += [*pair.unfelt(), *pair.far_augmentation(), pair.turned_force()]
         return [finding for finding in looks if finding is not None] + self._let_go() + self._tied()
 
     def _tied(self) -> list[Finding]:
@@ -474,18 +485,22 @@ class ContactProblem:
         return found
 
     def _let_go(self) -> list[Finding]:
-        """Pieces that contact alone held in the last equilibrium and that nothing touches now (collective)."""
+        """Pieces that contact alone held in the last equilibrium and that nothing touches now; and those that nothing presses
+        on, other than in that one (collective)."""
         if not self.floating:
             return []
         here = np.array([(pair.active.closed.any(), pair.was_in_contact()) for pair in self.pairs], dtype=int)
         now, before = sum_over(self.comm, here.reshape(-1, 2)).T > 0
+        self._free = np.asarray(self._pressing() <= NOISE * self.force_floor)
         found = []
         for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
             for piece in body.floating:
-                mine = np.array([touched[first + piece.number] for touched in self._touched], dtype=bool)
+                n = first + piece.number
+                mine = np.array([touched[n] for touched in self._touched], dtype=bool)
                 if (before & mine).any() and not (now & mine).any():
-                    name = f"contacts of {piece}"
-                    found.append(Finding(name, 0.0, (), LET_GO, fatal=False))
+                    found.append(Finding(f"contacts of {piece}", 0.0, (), LET_GO, fatal=False))
+                elif self._free[n] and not self._known_free[n]:
+                    found.append(Finding(f"contact forces on {piece}", 0.0, (), FREE, fatal=False))
         return found
 
     def evaluate(self) -> None:
@@ -525,7 +540,7 @@ class ContactProblem:
     def _pressing(self) -> Array:
         """(pieces,) what pairs press on each piece with, balanced or not (N, collective)."""
         pressed = np.array([pair.pressing() for pair in self.pairs])
-        return np.asarray(pressed @ np.array(self._touched, dtype=float))
+        return np.asarray(pressed @ np.array(self._touched, dtype=float).reshape(-1, self.bodies.pieces))
 
     def _relative(self, motions: Array) -> list[Array]:
         """(n, motions, gdim) velocities of each pair's points relative to what they face that displacements (owned dofs,
@@ -656,7 +671,7 @@ class ContactProblem:
 
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""
-        self.lacks_stiffness = False
+        self.lacks_stiffness, self._known_free = False, self._free
         self.bodies.begin()
         if self.ties is not None:
             self.ties.move(np.zeros(self.ties.resistance.shape[:2]))

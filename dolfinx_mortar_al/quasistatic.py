@@ -16,6 +16,7 @@ from dolfinx_mortar_al.load import Load, Movable
 from dolfinx_mortar_al.load_watch import LoadWatch
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.newton import NO_PROGRESS, NewtonSolver, Path
+from dolfinx_mortar_al.pair_findings import PUSHED
 from dolfinx_mortar_al.predictor import Predictor
 from dolfinx_mortar_al.problem import ContactProblem, check_problem
 from dolfinx_mortar_al.ranks import agreed
@@ -287,6 +288,8 @@ def _solve(problem: ContactProblem, solver: NewtonSolver, path: Path | None = No
     if result.converged and result.unstable and not problem.floating:  # neutral, where nothing resists a slide
         findings.append(UNSTABLE)
     fatal = [str(f) for f in findings if f.fatal]
+    if fatal:
+        fatal += [str(f) for f in findings if f.meaning == PUSHED]
     cut = stepping.CUT if result.residual < NO_PROGRESS else CUT_WITHOUT_PROGRESS
     message = "; ".join(fatal) or result.message
     return Attempt(result.converged and not fatal, result, message, findings, cut)

@@ -80,6 +80,44 @@ def test_a_block_that_is_let_go_is_said():
     assert said[0].startswith("contacts of the body around X = [0.1")
 
 
+FREE = "supports do not keep it in place and no load presses it on"
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("gap", [0.0, 0.01])
+def test_a_block_without_a_load_is_said_to_be_free(gap, friction):
+    """It lies on a plate that moves, or near it, and may be carried along or not, by round-off of contact: the first step
+    says so, and no other."""
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [[0, gap], [0.2, gap + 0.1]], [6, 3])
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    bottom = np.sort(mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], gap)))
+    tags = mesh.meshtags(domain, 1, bottom, np.ones(len(bottom), dtype=np.int32))
+    plate = obstacles.RigidPlane([0, 0], [0, 1])
+    contact = Contact(Surface(domain, tags, 1), plate, friction=friction)
+    problem = ContactProblem(Body(u, materials.neo_hookean(1e6, 0.3)), contacts=[contact])
+    steps = list(quasistatic.march(problem, lambda t: plate.move([0.01 * t, 0.0]), to=1.0, increments=3, start=0.0))
+    said = [[str(finding) for finding in step.findings] for step in steps]
+    assert [len(one) for one in said] == [1, 0, 0]
+    assert said[0][0].startswith("contact forces on the body around X = [0.1") and FREE in said[0][0]
+
+
+def test_a_body_without_contacts_is_said_to_be_free():
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, 3, 3)
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    (found,) = ContactProblem(Body(u, materials.neo_hookean(1e5, 0.3))).findings()
+    assert FREE in found.meaning
+
+
+def test_a_block_is_free_once_its_load_is_taken_away():
+    """Not under a thousandth of the load, nor under a millionth."""
+    problem, load = loose_block()
+    for share in (1.0, 1e-3, 1e-6):
+        for step in quasistatic.march(problem, load, to=share * LOAD, increments=1):
+            assert step.findings == ()
+    (step,) = quasistatic.march(problem, load, to=0.0, increments=1)
+    assert [FREE in str(finding) for finding in step.findings] == [True]
+
+
 @pytest.mark.parametrize(
     "failures, shares",
     [
