@@ -23,7 +23,7 @@ __all__ = ["ActiveSet"]
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
-Decided = tuple[Bool, Index, bool, Bool, Array | None]
+Decided = tuple[Bool, Index, bool, Bool, Bool, Array | None]
 
 TRUST = 1.0  # gaps are trusted to this many times their error
 CLOSES = 3.0  # an open point closes beyond this many times what makes a closed one open: closing by mistake costs more
@@ -42,7 +42,7 @@ class ActiveSet:
     Attributes:
         closed: (n,) points that count as closed.
         frozen: (n,) friction bound in place of μp (Pa), not a number where it is free; None if all are.
-        held: (n,) points that stick in this iteration because their slip has turned round.
+        held: (n,) points that stick in this iteration because they slip to and fro.
         trust: gaps are trusted to this many times their error.
         guessed: whether `closed` is a first guess rather than what a converged step left.
         cautious: whether the rules of statics hold; if not, the sign of λ̂_N decides alone.
@@ -54,6 +54,7 @@ class ActiveSet:
         self.closed: Bool = np.zeros(n, dtype=bool)
         self.frozen: Array | None = None
         self.held: Bool = np.zeros(n, dtype=bool)
+        self._turned: Bool = self.held.copy()  # points whose slip has turned round in this solve
         self._slipped: Array | None = None  # (n, gdim) λ̂_T of points that slip in this iteration, 0 elsewhere
         self.guessed, self.cautious = True, True
         self.trust = TRUST
@@ -69,6 +70,7 @@ class ActiveSet:
         points are on facets that were in contact in the last equilibrium."""
         self.trust, self._weak_may_open, self.frozen = TRUST, self.guessed, None
         self.held, self._slipped = np.zeros(len(self.closed), dtype=bool), None
+        self._turned = self.held.copy()
         self._guess = self.closed & self.guessed
         self._losses[:], self._pardoned = 0, False
         self._were_in_contact = were_in_contact
@@ -79,6 +81,7 @@ class ActiveSet:
         self.closed, self._losses = self.closed[origin], np.zeros(len(origin), dtype=np.int64)
         self._were_in_contact, self._guess = self._were_in_contact[origin], self._guess[origin]
         self.frozen = None if self.frozen is None else self.frozen[origin]
+        self._turned = self._turned[origin]
         self.held, self._slipped = self.held[origin], None if self._slipped is None else self._slipped[origin]
 
     @property
@@ -165,24 +168,27 @@ class ActiveSet:
 
     def snapshot(self) -> Decided:
         """What :meth:`decide` and :meth:`hold_turned` may change."""
-        return self.closed.copy(), self._losses.copy(), self._weak_may_open, self.held, self._slipped
+        return self.closed.copy(), self._losses.copy(), self._weak_may_open, self.held, self._turned, self._slipped
 
     def restore(self, saved: Decided, origin: Index) -> None:
         """Take decisions back; they were taken at points of which `origin` (n,) are the present ones."""
-        closed, losses, self._weak_may_open, held, slipped = saved
-        self.closed, self._losses, self.held = closed[origin], losses[origin], held[origin]
+        closed, losses, self._weak_may_open, held, turned, slipped = saved
+        self.closed, self._losses = closed[origin], losses[origin]
+        self.held, self._turned = held[origin], turned[origin]
         self._slipped = None if slipped is None else slipped[origin]
 
     # ---------------------------------------------------------------- stick and slip
 
     def hold_turned(self, state: LawState) -> bool:
-        """Hold for one iteration the points whose slip has turned round since the last, and let go those that were held;
-        whether there are any on this rank. A slip comes to rest before it goes back: λ̂_T holds ε_T times what Newton's step
-        moves, and where that is more than twice the friction bound whole zones would slip to and fro."""
+        """Hold for one iteration the points whose slip has turned round since the last, for the second time or more in this
+        solve, and let go those that were held; whether there are any on this rank. What slips to and fro comes to rest before
+        it goes back: λ̂_T holds ε_T times what Newton's step moves, and where that is more than twice the friction bound whole
+        zones would never stop."""
         before, slips = self.held, state.status == SLIP
         self.held = np.zeros(len(slips), dtype=bool)
         if self._slipped is not None and state.λT_hat is not None:
-            self.held = slips & (np.einsum("ni,ni->n", self._slipped, state.λT_hat) < 0.0)
+            turned = slips & (np.einsum("ni,ni->n", self._slipped, state.λT_hat) < 0.0)
+            self.held, self._turned = turned & self._turned, self._turned | turned
         return bool(self.held.any() or before.any())
 
     def note_slip(self, state: LawState) -> None:

@@ -619,7 +619,7 @@ class ContactPair(PairFindings):
         return any_over(self.comm, changed)
 
     def hold_turned(self) -> bool:
-        """Let points stick whose slip has turned round, once per Newton iteration; whether there are any, on any rank."""
+        """Let points stick that slip to and fro, once per Newton iteration; whether there are any, on any rank."""
         return self.friction and any_over(self.comm, self.active.hold_turned(self.state))
 
     def decisions(self) -> Decisions:

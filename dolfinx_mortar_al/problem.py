@@ -362,7 +362,7 @@ class ContactProblem:
 
     def choose(self, f: PETSc.Vec) -> tuple[bool, bool]:
         """Let the active sets change for the multipliers' residuals in f, which stays as it is; whether any point opened or
-        closed, and whether any is held or was because its slip has turned round (collective)."""
+        closed, and whether any is held or was because it slips to and fro (collective)."""
         with self.stopwatch("contact"):
             changed = any([pair.decide(part) for pair, part in zip(self.pairs, f.getNestSubVecs()[1:], strict=True)])
             turned = any([pair.hold_turned() for pair in self.pairs])

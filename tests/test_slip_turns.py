@@ -1,4 +1,4 @@
-"""Friction small beside the bodies' stiffness: a slip that turns round in a Newton iteration comes to rest first."""
+"""Friction small beside the bodies' stiffness: what slips to and fro as Newton iterates comes to rest first."""
 
 import numpy as np
 import pytest
