@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 from dolfinx_mortar_al.blocks import Blocks
 from dolfinx_mortar_al.kinematics import Kinematics
-from dolfinx_mortar_al.law import OPEN, LawState
+from dolfinx_mortar_al.law import OPEN, SLIP, STICK, LawState
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 
 __all__ = ["ActiveSet"]
@@ -23,6 +23,7 @@ __all__ = ["ActiveSet"]
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
+Decided = tuple[Bool, Index, bool, Bool, Bool, Array | None]
 
 TRUST = 1.0  # gaps are trusted to this many times their error
 CLOSES = 3.0  # an open point closes beyond this many times what makes a closed one open: closing by mistake costs more
@@ -41,6 +42,7 @@ class ActiveSet:
     Attributes:
         closed: (n,) points that count as closed.
         frozen: (n,) friction bound in place of μp (Pa), not a number where it is free; None if all are.
+        held: (n,) points that stick in this iteration because they slip to and fro.
         trust: gaps are trusted to this many times their error.
         guessed: whether `closed` is a first guess rather than what a converged step left.
         cautious: whether the rules of statics hold; if not, the sign of λ̂_N decides alone.
@@ -51,6 +53,9 @@ class ActiveSet:
         n = blocks.points.size
         self.closed: Bool = np.zeros(n, dtype=bool)
         self.frozen: Array | None = None
+        self.held: Bool = np.zeros(n, dtype=bool)
+        self._turned: Bool = self.held.copy()  # points whose slip has turned round in this solve
+        self._slipped: Array | None = None  # (n, gdim) λ̂_T of points that slip in this iteration, 0 elsewhere
         self.guessed, self.cautious = True, True
         self.trust = TRUST
         self._guess: Bool = self.closed.copy()
@@ -64,6 +69,8 @@ class ActiveSet:
         """A new solve: gaps are trusted as at first, bounds are free, and points may come back to the target; (n,) says which
         points are on facets that were in contact in the last equilibrium."""
         self.trust, self._weak_may_open, self.frozen = TRUST, self.guessed, None
+        self.held, self._slipped = np.zeros(len(self.closed), dtype=bool), None
+        self._turned = self.held.copy()
         self._guess = self.closed & self.guessed
         self._losses[:], self._pardoned = 0, False
         self._were_in_contact = were_in_contact
@@ -74,6 +81,8 @@ class ActiveSet:
         self.closed, self._losses = self.closed[origin], np.zeros(len(origin), dtype=np.int64)
         self._were_in_contact, self._guess = self._were_in_contact[origin], self._guess[origin]
         self.frozen = None if self.frozen is None else self.frozen[origin]
+        self._turned = self._turned[origin]
+        self.held, self._slipped = self.held[origin], None if self._slipped is None else self._slipped[origin]
 
     @property
     def _left(self) -> Bool:
@@ -148,7 +157,8 @@ class ActiveSet:
         return True
 
     def expect(self, λN_hat: Array, kinematics: Kinematics, εN: float) -> None:
-        """Start from the set that λ̂_N (n,) says."""
+        """Start from the set that λ̂_N (n,) says, with no point held."""
+        self.held, self._slipped = np.zeros(len(λN_hat), dtype=bool), None
         self.closed = kinematics.may_close & (λN_hat >= -εN * kinematics.touch)
 
     def at_odds(self, state: LawState, kinematics: Kinematics, εN: float) -> Array:
@@ -156,14 +166,42 @@ class ActiveSet:
         λ = np.where(kinematics.may_close & ~self._left, state.λN_hat, 0.0)
         return np.maximum(np.where(self.closed, -λ, λ) - εN * kinematics.touch, 0.0)
 
-    def snapshot(self) -> tuple[Bool, Index, bool]:
-        """What :meth:`decide` may change."""
-        return self.closed.copy(), self._losses.copy(), self._weak_may_open
+    def snapshot(self) -> Decided:
+        """What :meth:`decide` and :meth:`hold_turned` may change."""
+        return self.closed.copy(), self._losses.copy(), self._weak_may_open, self.held, self._turned, self._slipped
 
-    def restore(self, saved: tuple[Bool, Index, bool], origin: Index) -> None:
+    def restore(self, saved: Decided, origin: Index) -> None:
         """Take decisions back; they were taken at points of which `origin` (n,) are the present ones."""
-        closed, losses, self._weak_may_open = saved
+        closed, losses, self._weak_may_open, held, turned, slipped = saved
         self.closed, self._losses = closed[origin], losses[origin]
+        self.held, self._turned = held[origin], turned[origin]
+        self._slipped = None if slipped is None else slipped[origin]
+
+    # ---------------------------------------------------------------- stick and slip
+
+    def hold_turned(self, state: LawState) -> bool:
+        """Hold for one iteration the points whose slip has turned round since the last, for the second time or more in this
+        solve, and let go those that were held; whether there are any on this rank. What slips to and fro comes to rest before
+        it goes back: λ̂_T holds ε_T times what Newton's step moves, and where that is more than twice the friction bound whole
+        zones would never stop."""
+        before, slips = self.held, state.status == SLIP
+        self.held = np.zeros(len(slips), dtype=bool)
+        if self._slipped is not None and state.λT_hat is not None:
+            turned = slips & (np.einsum("ni,ni->n", self._slipped, state.λT_hat) < 0.0)
+            self.held, self._turned = turned & self._turned, self._turned | turned
+        return bool(self.held.any() or before.any())
+
+    def note_slip(self, state: LawState) -> None:
+        """Remember which way points slip with the decisions taken."""
+        if state.λT_hat is not None:
+            self._slipped = np.where((state.status == SLIP)[:, None], state.λT_hat, 0.0)
+
+    def beyond(self, state: LawState) -> Array:
+        """(n,) by how much the traction (Pa) of points that are held exceeds their friction bound."""
+        if state.λT_hat is None or state.bound is None:
+            return np.zeros(len(self.held))
+        size = np.linalg.norm(state.λT_hat, axis=1)
+        return np.where(self.held & (state.status == STICK), np.maximum(size - state.bound, 0.0), 0.0)
 
     # ---------------------------------------------------------------- friction bounds
 

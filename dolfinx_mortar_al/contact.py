@@ -17,7 +17,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from dolfinx_mortar_al.active_set import ActiveSet
+from dolfinx_mortar_al.active_set import ActiveSet, Decided
 from dolfinx_mortar_al.blocks import Blocks, Tangent
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.corners import SharpCorners
@@ -46,7 +46,7 @@ __all__ = ["Contact", "ContactPair"]
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
-Decisions = tuple[IntegrationPoints, tuple[Bool, Index, bool]]
+Decisions = tuple[IntegrationPoints, Decided]
 
 SOFTER = 0.125  # ε over what the bulk yields to pressure at the surface (docs/newton.md)
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
@@ -614,15 +614,19 @@ class ContactPair(PairFindings):
         k, active = self.kinematics, self.active
         if self.blocks.leave_out_at_corners(active.closed):
             self._Λ = self.blocks.multiplier_at_points()
-        self.state = self.law.evaluate(self._Λ, k.at, k.s, active.closed, active.frozen)
+        self.state = self.law.evaluate(self._Λ, k.at, k.s, active.closed, active.frozen, active.held)
 
     def decide(self, residual: PETSc.Vec) -> bool:
         """Let the active set change, once per Newton iteration; whether any point did, on any rank."""
         changed = self.active.decide(self.state, self.kinematics, residual, self.unit, self.epsilon.normal)
         return any_over(self.comm, changed)
 
+    def hold_turned(self) -> bool:
+        """Let points stick that slip to and fro, once per Newton iteration; whether there are any, on any rank."""
+        return self.friction and any_over(self.comm, self.active.hold_turned(self.state))
+
     def decisions(self) -> Decisions:
-        """What :meth:`decide` may change, and at which points."""
+        """What these two may change, and at which points."""
         return self.integration, self.active.snapshot()
 
     def undo_decisions(self, saved: Decisions) -> None:
@@ -631,9 +635,9 @@ class ContactPair(PairFindings):
         self.active.restore(decisions, points.nearest(self.integration.facet, self.integration.η))
 
     def violation(self) -> float:
-        """Largest |λ̂_N| (Pa) at a point that is closed or open against eq. (1), as a share of the largest pressure
-        (collective)."""
-        wrong = self.active.at_odds(self.state, self.kinematics, self.epsilon.normal)
+        """Largest |λ̂_N| (Pa) at a point that is closed or open against eq. (1), or excess of |λ̂_T| over the friction bound at
+        one that is held, as a share of the largest pressure (collective)."""
+        wrong = self.active.at_odds(self.state, self.kinematics, self.epsilon.normal) + self.active.beyond(self.state)
         worst = max_over(self.comm, float(wrong.max(initial=0.0)))
         return worst / max(self.largest_pressure(), 1e-300) if worst > 0 else 0.0
 

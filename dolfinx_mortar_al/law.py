@@ -99,7 +99,13 @@ class Frictionless:
     ε: Augmentation
 
     def evaluate(
-        self, λ: Array, at: Projection, s: Array | None, closed: NDArray[np.bool_], frozen: Array | None
+        self,
+        λ: Array,
+        at: Projection,
+        s: Array | None,
+        closed: NDArray[np.bool_],
+        frozen: Array | None,
+        held: NDArray[np.bool_] | None = None,
     ) -> LawState:
         """The law at multipliers λ (n, 1) and projections `at` of points that are `closed` (n,) or open: in eq. (1) those
         with λ̂_N ≥ 0, in a Newton iteration those of the active set."""
@@ -132,11 +138,18 @@ class Coulomb:
     noise: float = 0.0
 
     def evaluate(
-        self, Λ: Array, at: Projection, s: Array | None, closed: NDArray[np.bool_], frozen: Array | None
+        self,
+        Λ: Array,
+        at: Projection,
+        s: Array | None,
+        closed: NDArray[np.bool_],
+        frozen: Array | None,
+        held: NDArray[np.bool_] | None = None,
     ) -> LawState:
         """The law at multipliers Λ (n, gdim), projections `at` and slips s (n, gdim); `closed` as above.
 
-        `frozen` (n,) is a friction bound (Pa) to take in place of μp, not a number where it is free.
+        `frozen` (n,) is a friction bound (Pa) to take in place of μp, not a number where it is free; points `held` (n,)
+        stick whatever their bound.
         """
         assert s is not None
         ν = at.ν
@@ -151,6 +164,8 @@ class Coulomb:
             free = np.isnan(frozen)
             bound, slope = np.where(free, bound, frozen), slope * free
         stick = size <= bound + self.noise  # also where λ̂_T = 0: there the bracket of eq. (1) is 0
+        if held is not None:
+            stick |= held
         f = λT_hat * np.where(stick, 1.0, bound / np.where(stick, 1.0, size))[:, None]
         f[~closed] = 0.0
         status = np.where(closed, np.where(stick, STICK, SLIP), OPEN).astype(np.int8)

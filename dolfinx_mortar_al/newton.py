@@ -35,6 +35,7 @@ UNSUITABLE = (56, 60, 62, 86, 92)  # PETSc's error codes where a solver does not
 ROUND_OFF = 100.0  # multiples of the tolerance in which a residual that stands still counts as round-off
 SPRING = 1e-8  # of pieces that contact alone holds, as a share of their stiffness or that of what they press
 PROGRESS = 0.1  # of the residual between two visits of a contact pattern that is no cycle
+STILL = 1e-3  # change of a residual that comes back: Newton's own steps leave much less, or more
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
 MAX_FREEZES = 20  # times that friction bounds are brought up to date in a solve
 NEARLY = 0.05  # error of frozen bounds, as a share of the largest μp, below which they are freed
@@ -275,10 +276,14 @@ class NewtonSolver:
         close less readily. Give up when neither helps."""
         pattern = self.problem.contact_pattern()
         self._damping = 1.0
-        if pattern in self._patterns[:-1] and pattern != self._patterns[-1] and self._no_nearer(pattern):
+        returns = pattern in self._patterns[:-1] and pattern != self._patterns[-1] and self._no_nearer(pattern)
+        if returns or self._stands_still(pattern):
             self._cycles += 1
             if self._cycles > MAX_CYCLES:
-                self.result.message = f"the contact state cycles, {self.problem.changed_points(self._status)}"
+                where = (
+                    self.problem.changed_points(self._status) if returns else f"in each iteration{self._worst_place()}"
+                )
+                self.result.message = f"the contact state cycles, {where}"
                 return _Reason.DIVERGED_LOCAL_MIN
             if not self._freeze(iteration):
                 self._damping = 0.5
@@ -287,6 +292,13 @@ class NewtonSolver:
         self._patterns.append(pattern)
         self._status = [pair.state.status for pair in self.problem.pairs]
         return None
+
+    def _stands_still(self, pattern: int) -> bool:
+        """Whether the last iterations have led back to the same state, pattern and residual: what goes to and fro within one,
+        as contact settles on the linearised bulk, is not seen from outside."""
+        last = [max(norms) for norms in self.result.norms[-3:]]
+        same = len(last) == 3 and max(last) - min(last) <= STILL * max(last)
+        return same and self._patterns[-2:] == [pattern, pattern]
 
     def _no_nearer(self, pattern: int) -> bool:
         """Whether the residual is hardly smaller than when this contact pattern was there last."""

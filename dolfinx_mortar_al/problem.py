@@ -362,19 +362,22 @@ class ContactProblem:
     def decide(self, f: PETSc.Vec) -> bool:
         """Let the active sets change, once per Newton iteration, and bring the residual f up to date with them; whether any
         point opened or closed (collective)."""
-        changed = self.choose(f)
-        if changed:
+        changed, turned = self.choose(f)
+        if changed or turned:
             self.add_contact(f)
         return changed
 
-    def choose(self, f: PETSc.Vec) -> bool:
+    def choose(self, f: PETSc.Vec) -> tuple[bool, bool]:
         """Let the active sets change for the multipliers' residuals in f, which stays as it is; whether any point opened or
-        closed (collective)."""
+        closed, and whether any is held or was because it slips to and fro (collective)."""
         with self.stopwatch("contact"):
             changed = any([pair.decide(part) for pair, part in zip(self.pairs, f.getNestSubVecs()[1:], strict=True)])
-            for pair in self.pairs if changed else ():
+            turned = any([pair.hold_turned() for pair in self.pairs])
+            for pair in self.pairs if changed or turned else ():
                 pair.apply_law()
-        return changed
+            for pair in self.pairs:
+                pair.active.note_slip(pair.state)
+        return changed, turned
 
     def follow(self, f: PETSc.Vec) -> None:
         """At the start of a Newton iteration let the pairs choose anew what they hold in between (collective)."""
