@@ -7,6 +7,7 @@ follow each other on the same facets share an element matrix.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from dolfinx_mortar_al.kinematics import Kinematics
 from dolfinx_mortar_al.law import OPEN, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.reductions import all_over
+from dolfinx_mortar_al.smoothing import products_of_gradients
 from dolfinx_mortar_al.targets import Target
 
 __all__ = ["Blocks", "Tangent", "apply_columns", "sums_of_products"]
@@ -68,6 +70,9 @@ class Blocks:
         self.left_out: Bool | None = None
         #: (nf, nodes) nodes that have no part in a facet at a sharp corner, None where there are none
         self.left_out_at_corners: Bool | None = None
+        # (nf, nodes × components, nodes × components) what holds the multiplier smooth, None where nothing does
+        self._smoothing: Array | None = None
+        self._gauss = points
         self.take(points)
 
     def take(self, points: IntegrationPoints) -> None:
@@ -91,6 +96,32 @@ class Blocks:
         #: (n, components, nodes × components) the multiplier at each point from its facet's unknowns
         self.NΛ: Array = self._masked(whole := self._interpolation(ν))
         self._whole = whole
+
+    @property
+    def is_smoothing(self) -> bool:
+        """Whether anything may hold the multiplier smooth."""
+        return self._smoothing is not None
+
+    @cached_property
+    def _gradients(self) -> Array:
+        return products_of_gradients(self._gauss, self.multiplier)
+
+    def hold_smooth(self, κ: Array | None) -> None:
+        """Add ∫ κ ∇Λ·∇δΛ dS₀ to eq. (4), κ (nf,) in m³/Pa; with None nothing."""
+        self._smoothing = None if κ is None else κ[:, None, None] * self._gradients
+        self._smooth: Array = np.zeros(len(self.contactor))
+
+    def smooth(self, closed: Bool, share: float) -> None:
+        """Let `share` of it count on facets that are closed altogether, when the points `closed` (n,) are, without those at
+        sharp corners, in which some nodes have no part."""
+        open_ = self.points.sum_by_facet((~closed).astype(float)) > 0
+        if self.left_out_at_corners is not None:
+            open_ |= np.any(self.left_out_at_corners, axis=1)
+        self._smooth = np.where(open_, 0.0, share)
+
+    def _smoothed(self) -> Array | None:
+        """(nf, …) what holds the multiplier smooth now."""
+        return None if self._smoothing is None else self._smooth[:, None, None] * self._smoothing
 
     def leave_out_at_corners(self, closed: Bool) -> bool:
         """Where the contactor has sharp corners, choose in which facets their nodes have a part, in the multiplier and in its
@@ -141,10 +172,13 @@ class Blocks:
     # ---------------------------------------------------------------- residual, eq. (4)
 
     def multiplier_residual(self, state: LawState) -> tuple[Index, Array]:
-        """∫ r·δΛ dS₀: global blocks (nf, nodes) and element vectors (nf, nodes, components)."""
+        """∫ r·δΛ dS₀ and what holds Λ smooth: global blocks (nf, nodes) and element vectors (nf, nodes, components)."""
         values = ((self.points.j[:, None] * state.r)[:, None] @ self._tests(state))[:, 0]
-        blocks, components = self.multiplier.blocks, self.multiplier.components
-        return blocks, self.points.sum_by_facet(values).reshape(*blocks.shape, components)
+        blocks, total = self.multiplier.blocks, self.points.sum_by_facet(values)
+        smoothing = self._smoothed()
+        if smoothing is not None:
+            total += (smoothing @ self.multiplier.own_nodal().reshape(*total.shape, 1))[:, :, 0]
+        return blocks, total.reshape(*blocks.shape, self.multiplier.components)
 
     def body_residual(
         self, state: LawState, kinematics: Kinematics, *, reactions: bool = False
@@ -195,6 +229,8 @@ class Blocks:
         ΛΛ_point = law.open_slope(kinematics.at.ν) * self.points.j[:, None, None]
         ΛΛ_point[act] = δr[..., z:]
         ΛΛ = self.points.sum_by_facet(np.swapaxes(tests, 1, 2) @ ΛΛ_point @ self.NΛ)
+        smoothing = self._smoothed()
+        ΛΛ += 0.0 if smoothing is None else smoothing
 
         U_rows = np.concatenate([self.contactor[facet[runs]], self.target.blocks[target]], axis=1)
         fixed = np.concatenate([self.fixed[facet[runs]], self.target.fixed[target]], axis=1)

@@ -33,6 +33,7 @@ from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.reductions import any_over, max_over, min_over, sum_over
 from dolfinx_mortar_al.segments import Segments, segments_of
 from dolfinx_mortar_al.self_target import SelfTarget
+from dolfinx_mortar_al.smoothing import lacking_compliance
 from dolfinx_mortar_al.step_level import StepLevel
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.surface import Facets, GatheredFacets, Surface
@@ -54,6 +55,7 @@ RIPPLING = 2 * np.pi  # slope of a wave as long as a facet, over its amplitude i
 OWN = 0.5  # of the bulk's stiffness holds such waves, whatever contact does (docs/newton.md)
 FIRMEST = 12.0  # the same for ε_N in time steps: by p/ε_N, less than 1 % of a facet, do partly closed facets overlap
 ROUGHEST = 5.0  # a friction coefficient beyond that of rubber: on a plane that rises by 79° nothing would slide
+SPANS = 2.0, 4.0  # target facets across a zone: fewer have no kinks that a multiplier would follow (docs/theory.md)
 NEAR = 2.0  # of the target's facets: gaps that may close in a step
 FAR = 100.0  # times more or less than by default: where Newton has been seen to fail for ε
 DEPENDS = (
@@ -333,6 +335,7 @@ class ContactPair(PairFindings):
         sides = [c.contactor, c.target] if isinstance(c.target, Surface) else [c.contactor]
         self.stiffness_ratio = 0.0 if any(side.is_membrane for side in sides) else contactor / target
         self.set_law(min(contactor, target))
+        self._hold_smooth()
 
     def surface_stiffness(self, diagonals: Sequence[fem.Function]) -> float:
         """The softer side's mean nodal stiffness per facet area (Pa/m), from diagonals (N/m) of the bodies' matrices."""
@@ -390,6 +393,26 @@ class ContactPair(PairFindings):
             ε, self.is_pressed_hard = ε + RIPPLING * max(0.0, excess), excess > 0.0
         if ε != self.epsilon.normal:
             self._use_epsilon(ε, ε)
+
+    def _hold_smooth(self) -> None:
+        """Hold a multiplier smooth where the contactor is prescribed and finer than the target, in statics: what does not
+        move yields to nothing, membranes otherwise, and surfaces in contact with themselves are alike (collective)."""
+        others = self.target.is_rigid or self.target.is_contactor or self.stiffness_ratio == 0.0
+        rigid = np.asarray(self.blocks.fixed.all(axis=(1, 2)))
+        κ: Array = np.zeros(self.facets.size)
+        if not others and not isinstance(self.kinematics, StepLevel) and not self.target.fixed.all() and rigid.any():
+            own, faced = self.facets.areas() ** (1.0 / self.facets.shape.dim), self._faced_extents(self.gauss)
+            modulus = self.stiffnesses[1] * float(np.mean(self.target.extents))
+            κ = lacking_compliance(self.multiplier, self.target, own, faced, modulus, rigid)
+        self.blocks.hold_smooth(κ if any_over(self.comm, κ.any()) else None)
+
+    def _smoothness(self, closed: Bool) -> float:
+        """How much the multiplier is held smooth: all where the closed zone spans many of the target's facets, not at all
+        where it spans few, whose kinks it does not meet (collective)."""
+        extents = self.target.extents[self.at.point.facet[closed]]
+        count = sum_over(self.comm, float(np.sum(self.j[closed] / self.thickness / extents**self.target.dim)))
+        few, many = SPANS
+        return float(np.clip((count ** (1.0 / self.target.dim) - few) / (many - few), 0.0, 1.0))
 
     def far_off(self) -> dict[str, float]:
         """The augmentation parameters that are a user's and more than FAR times more or less than the bulk suggests, over
@@ -614,6 +637,9 @@ class ContactPair(PairFindings):
         k, active = self.kinematics, self.active
         if self.blocks.leave_out_at_corners(active.closed):
             self._Λ = self.blocks.multiplier_at_points()
+        if self.blocks.is_smoothing:
+            closed = active.closed & k.at.facing
+            self.blocks.smooth(closed, self._smoothness(closed))
         self.state = self.law.evaluate(self._Λ, k.at, k.s, active.closed, active.frozen, active.held)
 
     def decide(self, residual: PETSc.Vec) -> bool:
@@ -670,6 +696,7 @@ class ContactPair(PairFindings):
         the balance of energy needs: corners' nodes keep all of their facets."""
         if not isinstance(self.kinematics, StepLevel):
             self.blocks.corners = self.target_end = None
+            self.blocks.hold_smooth(None)
             self.kinematics = StepLevel(self.kinematics)
             self.active.cautious = False
             self.set_law(self.stiffness, FIRMER, FIRMEST)

@@ -1,0 +1,53 @@
+"""What holds a multiplier smooth on facets that are prescribed and finer than the target (``docs/theory.md``).
+
+There the target alone determines the multiplier, and its facets cannot follow from node to node what has more nodes than
+they: some pressures act on nothing. A continuum would follow them, and yield to a wave of pressure p of length 2π/q by
+about p/(E q). The gap condition of eq. (4) is given the compliance that the facets lack, 𝐫 − ∇·κ∇Λ in place of 𝐫, on facets
+that are closed altogether: constant pressures have none of it, and it counts for little where they vary over many facets.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx_mortar_al.integration import IntegrationPoints
+from dolfinx_mortar_al.multiplier import MultiplierSpace
+from dolfinx_mortar_al.targets import Target
+
+__all__ = ["ALIKE", "lacking_compliance", "products_of_gradients"]
+
+Array = NDArray[np.float64]
+
+ALIKE = 0.99  # spacings that are the same but for the shape of facets
+
+
+def lacking_compliance(
+    multiplier: MultiplierSpace, target: Target, own: Array, faced: Array, modulus: float, prescribed: NDArray[np.bool_]
+) -> Array:
+    """(nf,) κ = ℓ² C of the multiplier on each facet of the contactor (m³/Pa), 0 on those that yield by themselves or whose
+    nodes are as far apart as the target's.
+
+    Args:
+        own, faced: (nf,) extents of the facets and of those of the target that they face (m).
+        modulus: the target's stiffness per area × length of a facet (Pa).
+        prescribed: (nf,) facets of the contactor that do not yield at all.
+
+    C is what the target yields per area over the distance h of its nodes. ℓ = h/π is 1/q of the shortest wave that it has,
+    but no more than the multiplier's own spacing.
+    """
+    own, theirs = multiplier.shape.spacing * own, target.spacing * faced
+    C = target.spacing**target.dim * faced / modulus
+    return np.where(prescribed & (own < ALIKE * theirs), np.minimum(theirs / np.pi, own) ** 2 * C, 0.0)
+
+
+def products_of_gradients(points: IntegrationPoints, multiplier: MultiplierSpace) -> Array:
+    """(nf, nodes × components, nodes × components) ∫ ∇N·∇N dS₀ on each facet, on the reference surface, from Gauss points."""
+    a = points.tangents(points.facets.X)  # (n, dim, gdim)
+    metric = a @ np.swapaxes(a, 1, 2)
+    dN = multiplier.shape.tabulate(points.η, 1)[1]  # (n, dim, nodes)
+    products = points.sum_by_facet(points.j[:, None, None] * (np.swapaxes(dN, 1, 2) @ np.linalg.solve(metric, dN)))
+    T = multiplier.T  # (nf, components, nodes, nodes)
+    each = np.swapaxes(T, 2, 3) @ products[:, None] @ T
+    (count, m, nodes, _), same = T.shape, np.eye(T.shape[1])
+    return np.einsum("fiab,ik->faibk", each, same).reshape(count, nodes * m, nodes * m)
