@@ -70,8 +70,10 @@ class Blocks:
         self.left_out: Bool | None = None
         #: (nf, nodes) nodes that have no part in a facet at a sharp corner, None where there are none
         self.left_out_at_corners: Bool | None = None
-        # (nf, nodes × components, nodes × components) what holds the multiplier smooth, None where nothing does
+        # (nf, nodes × components, nodes × components) what may hold the multiplier smooth, None where nothing does
         self._smoothing: Array | None = None
+        #: (nf,) how much of it counts
+        self.smoothed: Array = np.zeros(len(contactor))
         self._gauss = points
         self.take(points)
 
@@ -109,7 +111,7 @@ class Blocks:
     def hold_smooth(self, κ: Array | None) -> None:
         """Add ∫ κ ∇Λ·∇δΛ dS₀ to eq. (4), κ (nf,) in m³/Pa; with None nothing."""
         self._smoothing = None if κ is None else κ[:, None, None] * self._gradients
-        self._smooth: Array = np.zeros(len(self.contactor))
+        self.smoothed = np.zeros(len(self.contactor))
 
     def smooth(self, closed: Bool, share: float) -> None:
         """Let `share` of it count on facets that are closed altogether, when the points `closed` (n,) are, without those at
@@ -117,11 +119,11 @@ class Blocks:
         open_ = self.points.sum_by_facet((~closed).astype(float)) > 0
         if self.left_out_at_corners is not None:
             open_ |= np.any(self.left_out_at_corners, axis=1)
-        self._smooth = np.where(open_, 0.0, share)
+        self.smoothed = np.where(open_, 0.0, share)
 
     def _smoothed(self) -> Array | None:
         """(nf, …) what holds the multiplier smooth now."""
-        return None if self._smoothing is None else self._smooth[:, None, None] * self._smoothing
+        return None if self._smoothing is None else self.smoothed[:, None, None] * self._smoothing
 
     def leave_out_at_corners(self, closed: Bool) -> bool:
         """Where the contactor has sharp corners, choose in which facets their nodes have a part, in the multiplier and in its
@@ -230,7 +232,8 @@ class Blocks:
         ΛΛ_point[act] = δr[..., z:]
         ΛΛ = self.points.sum_by_facet(np.swapaxes(tests, 1, 2) @ ΛΛ_point @ self.NΛ)
         smoothing = self._smoothed()
-        ΛΛ += 0.0 if smoothing is None else smoothing
+        if smoothing is not None:
+            ΛΛ += smoothing
 
         U_rows = np.concatenate([self.contactor[facet[runs]], self.target.blocks[target]], axis=1)
         fixed = np.concatenate([self.fixed[facet[runs]], self.target.fixed[target]], axis=1)

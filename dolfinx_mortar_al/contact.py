@@ -400,7 +400,7 @@ class ContactPair(PairFindings):
         others = self.target.is_rigid or self.target.is_contactor or self.stiffness_ratio == 0.0
         rigid = np.asarray(self.blocks.fixed.all(axis=(1, 2)))
         κ: Array = np.zeros(self.facets.size)
-        if not others and not isinstance(self.kinematics, StepLevel) and not self.target.fixed.all() and rigid.any():
+        if not others and not self.target.fixed.all() and rigid.any():
             own, faced = self.facets.areas() ** (1.0 / self.facets.shape.dim), self._faced_extents(self.gauss)
             modulus = self.stiffnesses[1] * float(np.mean(self.target.extents))
             κ = lacking_compliance(self.multiplier, self.target, own, faced, modulus, rigid)

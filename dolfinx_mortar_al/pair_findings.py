@@ -8,12 +8,14 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.blocks import Blocks
 from dolfinx_mortar_al.law import OPEN
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import dot
 from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.results import PairResults
+from dolfinx_mortar_al.smoothing import ALIKE
 from dolfinx_mortar_al.surface import GatheredFacets, surface_normal
 from dolfinx_mortar_al.targets import DeformableTarget
 
@@ -30,7 +32,6 @@ FINE = (
     "and pressures oscillate (resultants do not); refine the target, or swap contactor and target"
 )
 STIFFER = 4.0  # of stiffnesses per area: pressures on finer contactors were off by more than a tenth from there on
-ALIKE = 0.99  # spacings that are the same but for the shape of facets
 OVERLAP = "both surfaces are prescribed there and overlap: no contact force can part them; change the prescribed values"
 PUSHED = (
     "supports push this node into the other surface, which is held there, too, so that no contact force can part them: end "
@@ -76,6 +77,7 @@ class PairFindings(PairResults):
     is_pressed_hard: bool
     _prescribed_facets: NDArray[np.bool_]
     _prescribed_nodes: PrescribedNodes
+    blocks: Blocks
     #: the whole contactor, and (nf,) which of its facets this rank has
     _contactor: GatheredFacets
     _own: NDArray[np.int64]
@@ -96,14 +98,16 @@ class PairFindings(PairResults):
 
     def fine_multiplier(self) -> Finding | None:
         """Whether the multiplier of a contactor that is stiffer than the target has nodes closer together than those of the
-        target's facets that it faces, in the mean over what is closed (collective)."""
+        target's facets that it faces, in the mean over what is closed, and is not held smooth for the most part
+        (collective)."""
         if self.target.is_rigid or self.target.is_contactor or self.stiffness_ratio <= STIFFER:
             return None
         closed = np.flatnonzero(self.state.status != OPEN)
         j, (own, theirs) = self.j[closed], (extents[closed] for extents in self._extents())
         own, theirs = self.multiplier.shape.spacing * own, self.target.spacing * theirs
-        mine, others = sum_over(self.comm, np.array([j @ own, j @ theirs]))
-        ratio = float(mine / others) if others > 0 else 1.0
+        smooth = self.blocks.smoothed[self.integration.facet[closed]]
+        mine, others, whole, held = sum_over(self.comm, np.array([j @ own, j @ theirs, j.sum(), j @ smooth]))
+        ratio = float(mine / others) if others > 0 and held < 0.5 * whole else 1.0
         return (
             Finding(f"{self.name}: multiplier's spacing over the target's", ratio, (), FINE, False)
             if ratio < ALIKE

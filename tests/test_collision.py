@@ -98,13 +98,7 @@ def check(run, deepest):
 
 
 @pytest.mark.parametrize(
-    "friction, integration",
-    [
-        pytest.param(0.0, "gauss", marks=pytest.mark.one_rank),
-        (0.4, "gauss"),
-        (0.0, "segments"),
-        pytest.param(0.4, "segments", marks=pytest.mark.one_rank),
-    ],
+    "friction, integration", [(0.0, "gauss"), (0.4, "gauss"), (0.0, "segments"), (0.4, "segments")]
 )
 def test_two_discs(friction, integration):
     """Energy, momenta and penetration at two steps (a closed point overlaps by what the facets' curvature leaves, seen 4 %
@@ -270,7 +264,6 @@ def heights(motion):
     return X[:, 1] + motion.u.x.array.reshape(-1, 2)[:, 1], X[:, 0]
 
 
-@pytest.mark.one_rank
 def test_cubes_on_edge():
     """Coarse cubes meet with edges across each other, sharp on this mesh: while multipliers' nodes there changed faces from
     step to step, contact gave energy, every step was refused in the end and the run failed."""
@@ -292,7 +285,6 @@ def middle(motion):
     return MPI.COMM_WORLD.allreduce(float(y[np.abs(x) < 1e-9].min(initial=np.inf)), MPI.MIN)
 
 
-@pytest.mark.one_rank
 def test_steps_by_local_error():
     """With a tolerance Δt is the longest in flight, shrinks at the impact and grows back; velocities are nearer to those of
     short steps than those of as many equal ones."""

@@ -70,9 +70,7 @@ def test_a_contactor_that_is_finer_and_stiffer_is_said(monkeypatch, order, slab,
 
 
 @pytest.mark.parametrize("block_is_contactor", [False, True], ids=["cylinder", "block"])
-@pytest.mark.parametrize(
-    "ratio", [pytest.param(1e-3, marks=pytest.mark.one_rank), 1.0, pytest.param(1e3, marks=pytest.mark.one_rank)]
-)
+@pytest.mark.parametrize("ratio", [1e-3, 1.0, 1e3])
 def test_pressures_are_those_of_hertz(ratio, block_is_contactor):
     """Within 3 % at points inside 70 % of the half width, ten facets of order 2 long (seen: 0.8 to 2.4 %; Hertz' solution
     is right to 0.2 %), whichever side is contactor or stiff."""
