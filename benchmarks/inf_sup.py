@@ -7,7 +7,8 @@ Two blocks in the plane as in `patch_test.py`, closed all over: the least β for
     sup_v ∫ λ (v₁ − v₂)·ν dS / |v|_K ≥ β |λ|_h,     |λ|_h² = ∫ (h/E) λ² dS,
 
 the root of the smallest eigenvalue of B K⁻¹ Bᵀ against the mass matrix of the multipliers times h/E, with h of the
-contactor's facets and E of the softer block. It must not fall as both meshes are refined.
+contactor's facets and E of the softer block. It must not fall as both meshes are refined. A last table has the same with what
+holds multipliers smooth (`docs/theory.md`): the square of the left side and ∫ κ |∇λ|² dS.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from meshes.two_membranes import UPPER as OVER
 YOUNG, HEIGHT = 2e6, 0.5  # Pa of the softer block, m
 ELEMENTS = ((1, 1), (2, 1), (2, 2))  # orders of displacement and multiplier
 MESHES = ((8, 1), (8, 3), (8, 8), (3, 8), (1, 8))  # cells of contactor and target, times each refinement
+FINER = ((8, 1), (8, 3), (8, 6))  # those that are held smooth
 REFINEMENTS = (1, 2, 4)
 OF_MEMBRANES = ((8, 2), (8, 6), (8, 8), (6, 8), (2, 8))
 THICKNESS = 1e-3  # of membranes (m)
@@ -41,7 +43,9 @@ def csr(matrix: PETSc.Mat) -> scipy.sparse.csr_matrix:
     return scipy.sparse.csr_matrix((values, j, i), shape=matrix.getSize())
 
 
-def inf_sup(order: int, multiplier: int, cells: tuple[int, int], ratio: float, integration: str) -> float:
+def inf_sup(
+    order: int, multiplier: int, cells: tuple[int, int], ratio: float, integration: str, smooth: bool = False
+) -> float:
     """β for numbers of cells (contactor, target) and the ratio of their stiffnesses; the contactor is the upper block."""
     along = cells[::-1]
     mesh, body, tags = TwoBeams(height=HEIGHT, along=along, across=max(1, min(cells) // 2)).create()
@@ -62,7 +66,7 @@ def inf_sup(order: int, multiplier: int, cells: tuple[int, int], ratio: float, i
         integration=integration,
     )
     problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
-    return least(problem, 1.0 / cells[0] / YOUNG)
+    return least(problem, 1.0 / cells[0] / YOUNG, smooth)
 
 
 def membranes(order: int, multiplier: int, cells: tuple[int, int], integration: str) -> float:
@@ -83,8 +87,8 @@ def membranes(order: int, multiplier: int, cells: tuple[int, int], integration: 
     return least(problem, 1.0 / cells[0] ** 2 / (YOUNG * THICKNESS))
 
 
-def least(problem: ContactProblem, weight: float) -> float:
-    """β of a closed pair, |λ|_h² = `weight` ∫ λ² dS."""
+def least(problem: ContactProblem, weight: float, smooth: bool = False) -> float:
+    """β of a closed pair, |λ|_h² = `weight` ∫ λ² dS; `smooth`: with what holds multipliers smooth."""
     pair = problem.pairs[0]
 
     def jacobian(closed: bool) -> None:
@@ -93,14 +97,14 @@ def least(problem: ContactProblem, weight: float) -> float:
         problem.assemble_jacobian()
 
     jacobian(closed=True)
-    B = csr(problem.blocks[1][0])
+    B, smoothing = csr(problem.blocks[1][0]), csr(problem.blocks[1][1]).toarray()
     jacobian(closed=False)
     K, mass = csr(problem.blocks[0][0]).tocsc(), csr(problem.blocks[1][1]).toarray()
     # both have the square of the multipliers' unit, and the open points' residual is λ/ε
     mass *= pair.epsilon.normal * weight
     idle = pair.multiplier.idle  # a fixed end has nothing to enforce
     kept = np.setdiff1d(np.arange(len(mass)), idle)
-    S = B @ scipy.sparse.linalg.splu(K).solve(B.T.toarray())
+    S = B @ scipy.sparse.linalg.splu(K).solve(B.T.toarray()) + smooth * smoothing
     S, mass = ((A + A.T)[np.ix_(kept, kept)] / 2 for A in (S, mass))
     return float(np.sqrt(max(scipy.linalg.eigvalsh(S, mass)[0], 0.0)))
 
@@ -129,6 +133,18 @@ def main() -> None:
                 found = [membranes(order, multiplier, (n * cells[0], n * cells[1]), integration) for n in REFINEMENTS]
                 said = " | ".join(f"{β:.1e}" for β in found)
                 print(f"| {order}, {multiplier} | {cells[0]}, {cells[1]} | {integration} | {said} |", flush=True)
+    print("\nHeld smooth, segments:\n\n| order, multiplier | cells of contactor, target | E ratio | " + " | ".join(
+        f"β, {n}×" for n in REFINEMENTS) + " |")  # fmt: skip
+    print("|" + "---|" * (3 + len(REFINEMENTS)))
+    for order, multiplier in ELEMENTS:
+        for cells in FINER:
+            for ratio in (1.0, 1e3):
+                found = [
+                    inf_sup(order, multiplier, (n * cells[0], n * cells[1]), ratio, "segments", True)
+                    for n in REFINEMENTS
+                ]
+                said = " | ".join(f"{β:.1e}" for β in found)
+                print(f"| {order}, {multiplier} | {cells[0]}, {cells[1]} | {ratio:g} | {said} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.reductions import all_over
 from dolfinx_mortar_al.smoothing import products_of_gradients
 from dolfinx_mortar_al.targets import Target
+from dolfinx_mortar_al.zone_width import ZoneWidth
 
 __all__ = ["Blocks", "Tangent", "apply_columns", "sums_of_products"]
 
@@ -72,6 +73,8 @@ class Blocks:
         self.left_out_at_corners: Bool | None = None
         # (nf, nodes × components, nodes × components) what may hold the multiplier smooth, None where nothing does
         self._smoothing: Array | None = None
+        #: whether that is to stay as it is, whatever opens or closes
+        self.holds_smoothness = False
         #: (nf,) how much of it counts
         self.smoothed: Array = np.zeros(len(contactor))
         self._gauss = points
@@ -108,18 +111,25 @@ class Blocks:
     def _gradients(self) -> Array:
         return products_of_gradients(self._gauss, self.multiplier)
 
-    def hold_smooth(self, κ: Array | None) -> None:
-        """Add ∫ κ ∇Λ·∇δΛ dS₀ to eq. (4), κ (nf,) in m³/Pa; with None nothing."""
-        self._smoothing = None if κ is None else κ[:, None, None] * self._gradients
-        self.smoothed = np.zeros(len(self.contactor))
+    def hold_smooth(self, κ: Array, width: ZoneWidth) -> None:
+        """Add ∫ κ ∇Λ·∇δΛ dS₀ to eq. (4), κ (nf,) in m³/Pa, on closed facets amid a zone that is wide enough."""
+        self._smoothing, self._width = κ[:, None, None] * self._gradients, width
 
-    def smooth(self, closed: Bool, share: float) -> None:
-        """Let `share` of it count on facets that are closed altogether, when the points `closed` (n,) are, without those at
-        sharp corners, in which some nodes have no part."""
+    def leave_rough(self) -> None:
+        """Add nothing of the kind."""
+        self._smoothing, self.smoothed = None, np.zeros(len(self.contactor))
+
+    def smooth(self, closed: Bool) -> None:
+        """Let what holds the multiplier smooth count on facets that are closed altogether, when the points `closed` (n,) are,
+        without those at sharp corners, in which some nodes have no part (collective)."""
+        if self._smoothing is None or self.holds_smoothness:
+            return
+        zone = np.zeros(len(self.contactor), dtype=bool)
+        zone[self.points.facet[closed]] = True
         open_ = self.points.sum_by_facet((~closed).astype(float)) > 0
         if self.left_out_at_corners is not None:
             open_ |= np.any(self.left_out_at_corners, axis=1)
-        self.smoothed = np.where(open_, 0.0, share)
+        self.smoothed = np.where(open_, 0.0, self._width.share(zone))
 
     def _smoothed(self) -> Array | None:
         """(nf, …) what holds the multiplier smooth now."""

@@ -41,6 +41,7 @@ from dolfinx_mortar_al.target_end import TargetEnd
 from dolfinx_mortar_al.targets import DeformableTarget, RigidTarget, Target, target_of
 from dolfinx_mortar_al.unfelt import Converged, Unfelt
 from dolfinx_mortar_al.validation import constant_value, number, whole
+from dolfinx_mortar_al.zone_width import ZoneWidth
 
 __all__ = ["Contact", "ContactPair"]
 
@@ -55,7 +56,6 @@ RIPPLING = 2 * np.pi  # slope of a wave as long as a facet, over its amplitude i
 OWN = 0.5  # of the bulk's stiffness holds such waves, whatever contact does (docs/newton.md)
 FIRMEST = 12.0  # the same for ε_N in time steps: by p/ε_N, less than 1 % of a facet, do partly closed facets overlap
 ROUGHEST = 5.0  # a friction coefficient beyond that of rubber: on a plane that rises by 79° nothing would slide
-SPANS = 2.0, 4.0  # target facets across a zone: fewer have no kinks that a multiplier would follow (docs/theory.md)
 NEAR = 2.0  # of the target's facets: gaps that may close in a step
 FAR = 100.0  # times more or less than by default: where Newton has been seen to fail for ε
 DEPENDS = (
@@ -69,7 +69,7 @@ class Contact:
 
     Args:
         contactor: carries the multiplier and the integration points; better the softer side, of equally stiff ones the
-            finer. Pressures of one that is stiffer and finer oscillate (docs/robustness.md).
+            finer. One that is stiffer and finer is held smooth (docs/theory.md).
         target: the surface that contactor points are projected onto, or a rigid obstacle. Left out, the contactor is its own
             target (``docs/self_contact.md``).
         friction: Coulomb's coefficient μ ≥ 0; the number 0 builds the problem with a scalar multiplier and no slip history.
@@ -395,24 +395,19 @@ class ContactPair(PairFindings):
             self._use_epsilon(ε, ε)
 
     def _hold_smooth(self) -> None:
-        """Hold a multiplier smooth where the contactor is prescribed and finer than the target, in statics: what does not
-        move yields to nothing, membranes otherwise, and surfaces in contact with themselves are alike (collective)."""
+        """Hold a multiplier smooth where the contactor is finer than the target, in statics: membranes yield otherwise, and
+        surfaces in contact with themselves are alike (collective)."""
         others = self.target.is_rigid or self.target.is_contactor or self.stiffness_ratio == 0.0
-        rigid = np.asarray(self.blocks.fixed.all(axis=(1, 2)))
-        κ: Array = np.zeros(self.facets.size)
-        if not others and not self.target.fixed.all() and rigid.any():
-            own, faced = self.facets.areas() ** (1.0 / self.facets.shape.dim), self._faced_extents(self.gauss)
-            modulus = self.stiffnesses[1] * float(np.mean(self.target.extents))
-            κ = lacking_compliance(self.multiplier, self.target, own, faced, modulus, rigid)
-        self.blocks.hold_smooth(κ if any_over(self.comm, κ.any()) else None)
-
-    def _smoothness(self, closed: Bool) -> float:
-        """How much the multiplier is held smooth: all where the closed zone spans many of the target's facets, not at all
-        where it spans few, whose kinks it does not meet (collective)."""
-        extents = self.target.extents[self.at.point.facet[closed]]
-        count = sum_over(self.comm, float(np.sum(self.j[closed] / self.thickness / extents**self.target.dim)))
-        few, many = SPANS
-        return float(np.clip((count ** (1.0 / self.target.dim) - few) / (many - few), 0.0, 1.0))
+        self.blocks.leave_rough()
+        if others or self.target.fixed.all():
+            return
+        faced, rigid = self._faced_extents(self.gauss), np.asarray(self.blocks.fixed.all(axis=(1, 2)))
+        length = float(np.mean(self._contactor.areas() ** (1.0 / self.facets.shape.dim)))
+        moduli = self.stiffnesses[0] * length, self.stiffnesses[1] * float(np.mean(self.target.extents))
+        own = self.facets.areas() ** (1.0 / self.facets.shape.dim)
+        κ = lacking_compliance(self.multiplier, self.target, own, faced, moduli, rigid)
+        if any_over(self.comm, κ.any()):
+            self.blocks.hold_smooth(κ, ZoneWidth(self._contactor, self._own, self.target.spacing * faced, self.comm))
 
     def far_off(self) -> dict[str, float]:
         """The augmentation parameters that are a user's and more than FAR times more or less than the bulk suggests, over
@@ -532,6 +527,7 @@ class ContactPair(PairFindings):
             self.law = replace(self.law, μ=self.friction_coefficient)
             self._doubt(self.law.μ)
         self._hold_flat()
+        self.blocks.holds_smoothness = False
         self._divide()
         self.active.begin(self._converged.closed[self.integration.facet])
         if self.target_end is not None:
@@ -637,15 +633,19 @@ class ContactPair(PairFindings):
         k, active = self.kinematics, self.active
         if self.blocks.leave_out_at_corners(active.closed):
             self._Λ = self.blocks.multiplier_at_points()
-        if self.blocks.is_smoothing:
-            closed = active.closed & k.at.facing
-            self.blocks.smooth(closed, self._smoothness(closed))
+        self.blocks.smooth(active.closed & k.at.facing)
         self.state = self.law.evaluate(self._Λ, k.at, k.s, active.closed, active.frozen, active.held)
 
     def decide(self, residual: PETSc.Vec) -> bool:
         """Let the active set change, once per Newton iteration; whether any point did, on any rank."""
         changed = self.active.decide(self.state, self.kinematics, residual, self.unit, self.epsilon.normal)
         return any_over(self.comm, changed)
+
+    def hold_smoothness(self) -> bool:
+        """Let facets be held smooth that are so now, whatever opens or closes from now on in a solve; whether any may be."""
+        new = self.blocks.is_smoothing and not self.blocks.holds_smoothness
+        self.blocks.holds_smoothness = True
+        return new
 
     def hold_turned(self) -> bool:
         """Let points stick that slip to and fro, once per Newton iteration; whether there are any, on any rank."""
@@ -696,7 +696,7 @@ class ContactPair(PairFindings):
         the balance of energy needs: corners' nodes keep all of their facets."""
         if not isinstance(self.kinematics, StepLevel):
             self.blocks.corners = self.target_end = None
-            self.blocks.hold_smooth(None)
+            self.blocks.leave_rough()
             self.kinematics = StepLevel(self.kinematics)
             self.active.cautious = False
             self.set_law(self.stiffness, FIRMER, FIRMEST)

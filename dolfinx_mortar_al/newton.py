@@ -285,7 +285,7 @@ class NewtonSolver:
                 )
                 self.result.message = f"the contact state cycles, {where}"
                 return _Reason.DIVERGED_LOCAL_MIN
-            if not self._freeze(iteration):
+            if not any([pair.hold_smoothness() for pair in self.problem.pairs]) and not self._freeze(iteration):
                 self._damping = 0.5
                 for pair in self.problem.pairs:
                     pair.active.trust *= 10.0

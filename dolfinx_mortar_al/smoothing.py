@@ -1,9 +1,10 @@
-"""What holds a multiplier smooth on facets that are prescribed and finer than the target (``docs/theory.md``).
+"""What holds a multiplier smooth on facets that are finer than the target (``docs/theory.md``).
 
-There the target alone determines the multiplier, and its facets cannot follow from node to node what has more nodes than
-they: some pressures act on nothing. A continuum would follow them, and yield to a wave of pressure p of length 2π/q by
-about p/(E q). The gap condition of eq. (4) is given the compliance that the facets lack, 𝐫 − ∇·κ∇Λ in place of 𝐫, on facets
-that are closed altogether: constant pressures have none of it, and it counts for little where they vary over many facets.
+The target's facets cannot follow from node to node what has more nodes than they: where the contactor is the stiffer side
+some pressures act on nearly nothing, and on nothing where its motion is prescribed. A continuum would follow them, and yield
+to a wave of pressure p of length 2π/q by about p/(E q). The gap condition of eq. (4) is given the compliance that the facets
+lack, 𝐫 − ∇·κ∇Λ in place of 𝐫, on facets that are closed altogether: constant pressures have none of it, and it counts for
+little where they vary over many facets; `zone_width` sees to it that it does in narrow zones, too.
 """
 
 from __future__ import annotations
@@ -23,22 +24,27 @@ ALIKE = 0.99  # spacings that are the same but for the shape of facets
 
 
 def lacking_compliance(
-    multiplier: MultiplierSpace, target: Target, own: Array, faced: Array, modulus: float, prescribed: NDArray[np.bool_]
+    multiplier: MultiplierSpace,
+    target: Target,
+    own: Array,
+    faced: Array,
+    moduli: tuple[float, float],
+    prescribed: NDArray[np.bool_],
 ) -> Array:
-    """(nf,) κ = ℓ² C of the multiplier on each facet of the contactor (m³/Pa), 0 on those that yield by themselves or whose
-    nodes are as far apart as the target's.
+    """(nf,) κ = ℓ² C of the multiplier on each facet of the contactor (m³/Pa), 0 on those whose nodes are as far apart as the
+    target's.
 
     Args:
         own, faced: (nf,) extents of the facets and of those of the target that they face (m).
-        modulus: the target's stiffness per area × length of a facet (Pa).
+        moduli: (E_c, E_t) stiffness per area × length of a facet of the contactor and of the target (Pa).
         prescribed: (nf,) facets of the contactor that do not yield at all.
 
-    C is what the target yields per area over the distance h of its nodes. ℓ = h/π is 1/q of the shortest wave that it has,
-    but no more than the multiplier's own spacing.
+    C is what the target yields per area over the distance h of its nodes, times E_c/(E_c + E_t): less where the contactor
+    yields by itself. ℓ = h/π is 1/q of the shortest wave that the target has, but no more than the multiplier's own spacing.
     """
     own, theirs = multiplier.shape.spacing * own, target.spacing * faced
-    C = target.spacing**target.dim * faced / modulus
-    return np.where(prescribed & (own < ALIKE * theirs), np.minimum(theirs / np.pi, own) ** 2 * C, 0.0)
+    C = target.spacing**target.dim * faced / moduli[1] * np.where(prescribed, 1.0, moduli[0] / sum(moduli))
+    return np.where(own < ALIKE * theirs, np.minimum(theirs / np.pi, own) ** 2 * C, 0.0)
 
 
 def products_of_gradients(points: IntegrationPoints, multiplier: MultiplierSpace) -> Array:

@@ -41,21 +41,33 @@ def off_polynomial(pair):
 @pytest.mark.parametrize("slab_is_contactor", [False, True], ids=["punch", "slab"])
 @pytest.mark.parametrize("ratio", [1e-2, 1.0, 1e2])
 def test_pressures_do_not_oscillate(ratio, slab_is_contactor):
-    """Below 3 % (seen: 1.0 to 2.5 %, from facets that do not match), where the paper's equal order has 33 %."""
+    """Below 3 % (seen: 1.0 to 2.5 %, from facets that do not match)."""
     assert roughness(ratio, slab_is_contactor, multiplier_order=1) < 0.03
 
 
 @pytest.mark.one_rank
-def test_equal_orders_oscillate_where_the_contactor_is_the_stiffer_side():
-    assert roughness(1e2, False, multiplier_order=2) > 0.1
+def test_equal_orders_do_not_oscillate_under_a_stiffer_punch():
+    """The paper's; seen: 2.4 %, and 33 % where nothing holds them smooth."""
+    assert roughness(1e2, False, multiplier_order=2) < 0.03
 
 
 @pytest.mark.one_rank
-@pytest.mark.parametrize("order, slab, oscillates", [(1, 0.6, True), (1, 1.4, False), (2, 0.4, True), (2, 1.0, False)])
-def test_a_contactor_that_is_finer_and_stiffer_is_said(monkeypatch, order, slab, oscillates):
-    """The punch has a hundred times the slab's stiffness, the slab `slab` × 0.8 as many cells per metre. Where nodes of the
-    multiplier are closer together than the slab's the pressure oscillates by more than 20 %, elsewhere by less than 8 %; the
-    step says so."""
+@pytest.mark.parametrize(
+    "order, slab, oscillates",
+    [
+        (1, 0.2, True),
+        (1, 0.3, False),
+        (1, 0.6, False),
+        (1, 1.4, False),
+        (2, 0.3, False),
+        (2, 0.4, False),
+        (2, 1.0, False),
+    ],
+)
+def test_a_contactor_that_is_finer_and_stiffer_is_held_smooth(monkeypatch, order, slab, oscillates):
+    """The punch has a hundred times the slab's stiffness, the slab `slab` × 0.8 as many cells per metre: up to six facets of
+    the punch on one of the slab. The pressure oscillates by less than 8 %, but where the zone is two facets of the slab wide,
+    and the step says so."""
     monkeypatch.setattr(ironing, "Ironing", partial(ironing.Ironing, ratio=(slab, 1.0)))
     scene = ironing.Scene(
         cells=48 // order, order=order, friction=0.0, steps=(3, 0), depth=0.1, ratio=1e2, curved=order == 2

@@ -5,6 +5,7 @@ import pytest
 from scenes import assert_tangent, beams, rough, set_field
 
 from dolfinx_mortar_al.law import OPEN, SLIP, STICK
+from dolfinx_mortar_al.zone_width import ZoneWidth
 
 #: projection and order of the multiplier: the defaults, and the paper's
 RULES = [("rays", 1), ("closest", 2), ("rays", 2), ("closest", 1)]
@@ -53,7 +54,10 @@ def test_directional_derivative(dim, triangles, order, friction, projection, mul
     pair = problem.pairs[0]
     P.value = 1.0
     # multipliers held smooth by gaps of comparable size, other ones in each facet
-    pair.blocks.hold_smooth(1e-9 * (1.0 + np.sin(pair.facets.X[:, 0, 0]) ** 2))
+    small = np.full(pair.facets.size, 1e-3)  # facets of a target beside which every zone is wide
+    contactor = pair.facets.gather()
+    width = ZoneWidth(contactor, contactor.places_of(pair.facets), small, problem.comm)
+    pair.blocks.hold_smooth(1e-9 * (1.0 + np.sin(pair.facets.X[:, 0, 0]) ** 2), width)
     # an earlier state, open, for the slip to count from; then one with gaps, slips and multipliers of comparable weight
     set_field(problem, lambda X: bend(X) + rough(1e-5, 1)(X))
     pair.evaluate()
