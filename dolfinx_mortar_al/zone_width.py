@@ -61,12 +61,12 @@ class ZoneWidth:
         """(nf,) of all facets, when these (nf,) are in contact."""
         centres, own, wide = self._centres[zone], self._lengths[zone], WIDE * self._h[zone]
         inscribed: Array = np.maximum(own, 2 * _distance(centres, self._centres[~zone]) - own)
-        found: Array = np.zeros(len(own))
-        width = 1.0
-        while (found == 0).any():
-            amid = _distance(centres, centres[inscribed >= width * wide]) <= 0.5 * width * wide + own
-            found[amid & (found == 0)] = width**3
-            width *= STEP
+        found, left, width = np.zeros(len(own)), np.arange(len(own)), 1.0
+        while len(left):
+            reach = 0.5 * width * wide[left] + own[left]
+            amid = _distance(centres[left], centres[inscribed >= width * wide]) <= reach
+            found[left[amid]] = width**3
+            left, width = left[~amid], STEP * width
         share = np.zeros(len(zone))
         share[zone] = found
         return share
