@@ -271,9 +271,9 @@ class NewtonSolver:
             self._set_since = iteration
 
     def _watch_pattern(self, iteration: int) -> int | None:
-        """When the open/slip/stick pattern comes back to an earlier one: freeze the friction bounds, under which stick and
-        slip do not cycle; where that has been done or there is no friction, damp the next step and let points open and
-        close less readily. Give up when neither helps."""
+        """When the open/slip/stick pattern comes back to an earlier one: let what is held smooth stay so; then freeze the
+        friction bounds, under which stick and slip do not cycle; where that has been done or there is no friction, damp the
+        next step and let points open and close less readily. Give up when nothing helps."""
         pattern = self.problem.contact_pattern()
         self._damping = 1.0
         returns = pattern in self._patterns[:-1] and pattern != self._patterns[-1] and self._no_nearer(pattern)
