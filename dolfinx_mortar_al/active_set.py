@@ -53,6 +53,7 @@ class ActiveSet:
         n = blocks.points.size
         self.closed: Bool = np.zeros(n, dtype=bool)
         self.frozen: Array | None = None
+        self._off: Array | None = None  # (n,) μp less the frozen bound (Pa) in the last round
         self.held: Bool = np.zeros(n, dtype=bool)
         self._turned: Bool = self.held.copy()  # points whose slip has turned round in this solve
         self._slipped: Array | None = None  # (n, gdim) λ̂_T of points that slip in this iteration, 0 elsewhere
@@ -81,6 +82,7 @@ class ActiveSet:
         self.closed, self._losses = self.closed[origin], np.zeros(len(origin), dtype=np.int64)
         self._were_in_contact, self._guess = self._were_in_contact[origin], self._guess[origin]
         self.frozen = None if self.frozen is None else self.frozen[origin]
+        self._off = None if self._off is None else self._off[origin]
         self._turned = self._turned[origin]
         self.held, self._slipped = self.held[origin], None if self._slipped is None else self._slipped[origin]
 
@@ -207,7 +209,22 @@ class ActiveSet:
 
     def freeze(self, state: LawState, μ: float) -> None:
         """Hold the friction bound of closed points at its present μp: Tresca's law, which has no stick–slip cycles."""
-        self.frozen = np.where(state.status != OPEN, μ * np.maximum(state.p, 0.0), np.nan)
+        self.frozen, self._off = np.where(state.status != OPEN, μ * np.maximum(state.p, 0.0), np.nan), None
+
+    def compare_bounds(self, state: LawState, μ: float) -> Array:
+        """(2,) what μp − the frozen bound, which is remembered, has in common with what was remembered last, and that with
+        itself. A point that has closed since is to have its μp; one that has opened has nothing."""
+        assert self.frozen is not None
+        wanted = np.where(state.status != OPEN, μ * np.maximum(state.p, 0.0), np.nan)
+        self.frozen = np.where(np.isnan(self.frozen) | np.isnan(wanted), wanted, self.frozen)
+        off, last = np.nan_to_num(wanted - self.frozen), self._off
+        self._off = off
+        return np.zeros(2) if last is None else np.array([off @ last, last @ last])
+
+    def move_bounds(self, share: float) -> None:
+        """Move frozen bounds by a `share` of what is remembered."""
+        assert self.frozen is not None and self._off is not None
+        self.frozen = np.maximum(self.frozen + share * self._off, 0.0)
 
     def thaw(self) -> None:
         """Back to Coulomb's law."""

@@ -394,6 +394,14 @@ class Bodies:
         high = np.max(self.comm.allgather(x.max(axis=0, initial=-np.inf)), axis=0)
         return float(np.linalg.norm(high - low))
 
+    def farthest(self, values: Array) -> tuple[float, tuple[float, ...]]:
+        """The longest nodal vector of (owned dofs,), and the reference position of its node (collective)."""
+        nodal = np.linalg.norm(values.reshape(-1, self.gdim), axis=1)
+        nodal = np.where(np.isfinite(nodal), nodal, np.inf)
+        k = int(np.argmax(nodal)) if len(nodal) else -1
+        mine = (float(nodal[k]), tuple(self.owned_positions()[k].tolist())) if len(nodal) else (-1.0, ())
+        return max(self.comm.allgather(mine))
+
     # ---------------------------------------------------------------- matrices
 
     def stiffness(self) -> tuple[list[fem.Function], tuple[Index32, Index32]]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.contact_iteration import ContactIteration
+from dolfinx_mortar_al.friction_bounds import FrictionBounds
 from dolfinx_mortar_al.linear_solver import EXTERNAL, LinearSolver
 from dolfinx_mortar_al.load import Load
 from dolfinx_mortar_al.places import Places
@@ -34,12 +35,12 @@ LONGEST = 4.0  # target facets that a closed point may move over the target in o
 UNSUITABLE = (56, 60, 62, 86, 92)  # PETSc's error codes where a solver does not take the matrix, or is not known
 ROUND_OFF = 100.0  # multiples of the tolerance in which a residual that stands still counts as round-off
 SPRING = 1e-8  # of pieces that contact alone holds, as a share of their stiffness or that of what they press
+MAX_ROUNDS = 60  # in which friction bounds are brought up to date in a solve
+BOUND_TOLERANCE = 1e-6  # on a frozen friction bound, as a share of the largest μp
 PROGRESS = 0.1  # of the residual between two visits of a contact pattern that is no cycle
 STILL = 1e-3  # change of a residual that comes back: Newton's own steps leave much less, or more
+HELD_BACK = 3  # iterations in a row that stand still where cells would be inverted: they will not get on
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
-MAX_FREEZES = 20  # times that friction bounds are brought up to date in a solve
-NEARLY = 0.05  # error of frozen bounds, as a share of the largest μp, below which they are freed
-BOUND_TOLERANCE = 1e-6  # on a frozen friction bound, as a share of the largest μp
 WANDERS_AFTER = 8  # iterations without progress after which friction bounds are frozen,
 SETTLED = 3  # if in so many of them, the last, no point has opened or closed
 PUSHED = 0.01  # of the contact forces: what loads push with must be resisted by more than a tie
@@ -61,6 +62,9 @@ class NewtonResult:
     norms: list[list[float]] = field(default_factory=list)
     #: of the Jacobian's determinant in each iteration, where MUMPS solves
     signs: list[float] = field(default_factory=list)
+
+    #: whether friction bounds have led away from an unstable equilibrium
+    leapt: bool = False
 
     #: relative residual of the last iteration: 1 is no progress at all
     residual: float = np.inf
@@ -109,6 +113,7 @@ class NewtonSolver:
         agreed(problem.comm, "rtol, max_iterations", (self.rtol, self._max_iterations))
         self.linear = LinearSolver(problem, prefix)
         self.contact_iteration = ContactIteration(problem, self.linear, self._size, LONGEST)
+        self._bounds = FrictionBounds(problem)
         self.snes = self._create()
         problem.linear_solver = self.linear
         self.linear.log()
@@ -148,8 +153,10 @@ class NewtonSolver:
         self.result = NewtonResult()
         self._patterns: list[int] = []
         self._status: list[NDArray[np.int8]] = []  # of the pairs' points at the last of them
-        self._cycles, self._damping, self._freezes, self._whole_step = 0, 1.0, 0, True
-        self._law_since, self._set_since, self._freed = 0, 0, False
+        self._cycles, self._damping, self._whole_step = 0, 1.0, True
+        self._held_back = 0  # iterations in a row whose steps were shortened lest cells be inverted
+        self._law_since, self._set_since = 0, 0
+        self._bounds.begin()
         self._moves, self._places = 0, Places(LONGEST)
         for pair in p.pairs:
             pair.begin()
@@ -159,17 +166,17 @@ class NewtonSolver:
         p.pack(p.x)
         with p.stopwatch("newton"):
             try:
-                self.snes.solve(None, p.x)
+                self._iterate()
             except PETSc.Error as error:
                 if error.ierr in UNSUITABLE:
                     raise ValueError(self.linear.unsuitable()) from error
                 if error.ierr != EXTERNAL:
                     raise
                 return self._singular()
-        self.result.iterations = self.snes.getIterationNumber()
         reason = self.snes.getConvergedReason()
-        self.result.converged = reason > 0
-        if reason > 0:
+        self.result.converged = reason > 0 and not self._stale
+        self.result.leapt = self._bounds.leave
+        if self.result.converged:
             p.unpack(p.x)
             if self.result.iterations > 0:
                 p.measure_ties(self.linear.response)
@@ -179,6 +186,20 @@ class NewtonSolver:
         else:
             self.result.message = (self.result.message or self._failure(reason)) + self._advice()
         return self._singular() if reason == _Reason.DIVERGED_LINEAR_SOLVE else self.result
+
+    def _iterate(self) -> None:
+        """SNES, anew after each round in which friction bounds were frozen and are not μp."""
+        while True:
+            self._stale = 0.0
+            self.snes.solve(None, self.problem.x)
+            self.result.iterations += self.snes.getIterationNumber()
+            if not self._stale:
+                return
+            if self._bounds.rounds >= MAX_ROUNDS:
+                self.result.message = f"the friction bounds do not come to rest after {MAX_ROUNDS} rounds"
+                return
+            self._bounds.renew(self._stale)
+            self._patterns, self._cycles, self._law_since, self._set_since = [], 0, 0, 0
 
     def _singular(self) -> NewtonResult:
         """A failed solve after which PETSc's objects cannot be used again. The next one has a fictitious tension's help,
@@ -232,13 +253,12 @@ class NewtonSolver:
             pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs
         ):
             pardoned = [pair.active.pardon(pair.state, pair.kinematics) for pair in self.problem.pairs]
-            if not any(pardoned) and not self._bounds_are_stale(iteration) and not self._slides(iteration):
+            if not any(pardoned) and self._bounds_are_stale():
+                return _Reason.CONVERGED_FNORM_ABS
+            if not any(pardoned) and not self._slides(iteration):
                 return None if self._lets_go(iteration) else _Reason.CONVERGED_FNORM_ABS
             if self._moves > MAX_MOVES:
                 self.result.message = f"nothing resists a slide, {MAX_MOVES} places on"
-                return _Reason.DIVERGED_LOCAL_MIN
-            if self._freezes > MAX_FREEZES:
-                self.result.message = f"the friction bounds do not come to rest after {MAX_FREEZES} rounds"
                 return _Reason.DIVERGED_LOCAL_MIN
             return None
         ties = self.problem.ties
@@ -277,6 +297,11 @@ class NewtonSolver:
         pattern = self.problem.contact_pattern()
         self._damping = 1.0
         returns = pattern in self._patterns[:-1] and pattern != self._patterns[-1] and self._no_nearer(pattern)
+        if not returns and self._stands_still(pattern) and self._held_back >= HELD_BACK:
+            self.result.message = (
+                f"each step would leave an inverted cell (det F ≤ 0), however short{self._worst_place()}"
+            )
+            return _Reason.DIVERGED_LOCAL_MIN
         if returns or self._stands_still(pattern):
             self._cycles += 1
             if self._cycles > MAX_CYCLES:
@@ -308,27 +333,15 @@ class NewtonSolver:
 
     def _freeze(self, iteration: int) -> bool:
         """Freeze the friction bounds; whether there were any that were free."""
-        free = self.problem.freeze_bounds()
+        free = self._bounds.freeze()
         self._law_since = iteration if free else self._law_since
-        return bool(free)
+        return free
 
-    def _bounds_are_stale(self, iteration: int) -> bool:
-        """A state has converged with friction bounds that were frozen and are not μp: bring them up to date (a fixed point of
-        Tresca's problems), or free them, once, as soon as they are nearly right."""
-        pairs = [pair for pair in self.problem.pairs if pair.active.frozen is not None]
-        stale = max([pair.active.staleness(pair.state, pair.friction_coefficient) for pair in pairs], default=0.0)
-        if stale <= BOUND_TOLERANCE:
-            return False
-        free, self._freezes = stale < NEARLY and not self._freed, self._freezes + 1
-        self._freed |= free
-        for pair in pairs:
-            if free:
-                pair.active.thaw()
-            else:
-                pair.active.freeze(pair.state, pair.friction_coefficient)
-        self._patterns, self._cycles, self._law_since = [], 0, iteration
-        self.problem.reconsider(self.snes.getFunction()[0])
-        return True
+    def _bounds_are_stale(self) -> bool:
+        """Whether a state has converged with friction bounds that were frozen and are not μp."""
+        error = self._bounds.error
+        self._stale = error if error > BOUND_TOLERANCE else 0.0
+        return self._stale > 0.0
 
     def _lets_go(self, iteration: int) -> bool:
         """Let points beyond the target's end go; whether there were any (collective)."""
@@ -400,8 +413,10 @@ class NewtonSolver:
             if motion > LONGEST:
                 length *= LONGEST / motion
                 p.bodies.set(xu.array_r - length * yu.array_r)
-            for _ in range(12):
+            self._held_back += 1
+            for n in range(12):
                 if p.inverted_volume() <= 0:
+                    self._held_back *= n > 0
                     break
                 length /= 2
                 p.bodies.set(xu.array_r - length * yu.array_r)
@@ -476,12 +491,7 @@ class NewtonSolver:
 
     def _worst_place(self) -> str:
         """Where the forces are farthest from equilibrium (collective)."""
-        p = self.problem
-        nodal = np.linalg.norm(self.snes.getFunction()[0].getNestSubVecs()[0].array_r.reshape(-1, p.gdim), axis=1)
-        nodal = np.where(np.isfinite(nodal), nodal, np.inf)
-        k = int(np.argmax(nodal)) if len(nodal) else -1
-        mine = (float(nodal[k]), tuple(p.bodies.owned_positions()[k].tolist())) if len(nodal) else (-1.0, ())
-        _, X = max(p.comm.allgather(mine))
+        _, X = self.problem.bodies.farthest(self.snes.getFunction()[0].getNestSubVecs()[0].array_r)
         return f", worst at X = ({', '.join(f'{x:.4g}' for x in X)})"
 
     def _nearest_is_unstable(self) -> bool:

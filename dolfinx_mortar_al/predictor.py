@@ -35,13 +35,14 @@ class Predictor:
         """What is extrapolated: member and name of arrays of a snapshot."""
         return [("bodies", "u"), *((f"pair{k}", "multiplier") for k in range(len(self.problem.pairs)))]
 
-    def add(self, abscissa: float) -> None:
+    def add(self, abscissa: float, afresh: bool = False) -> None:
         """A state has converged; choose the polynomial orders that would have predicted it well. Where a pair has touched or
-        parted since the last one, the states before say nothing of what comes; nor does a start without stiffness, such as a
-        flat membrane, from which displacements grow as a root of the load (collective)."""
+        parted since the last one, or the bodies have leapt and all begins `afresh`, the states before say nothing of what
+        comes; nor does a start without stiffness, such as a flat membrane, from which displacements grow as a root of the
+        load (collective)."""
         state = self.problem.snapshot()
         touching = self._touch()
-        if self._states and (touching != self._touching or self._was_slack):
+        if self._states and (afresh or touching != self._touching or self._was_slack):
             self._forget(keep=0)
         self._touching, self._was_slack = touching, self.problem.lacks_stiffness
         for array in self._order:

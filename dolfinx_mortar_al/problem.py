@@ -9,7 +9,7 @@ of ranks that share no ghost: element blocks are inserted with global indices an
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Protocol
 
@@ -60,6 +60,15 @@ LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian reg
 NOISE = 1e-3  # share of round-off in a body's forces below which a tie bears nothing, and contact does not press on it
 SPARE = 2  # rings of target facets around contact in the plane that matrices have room for from the start
 UNSEEN = 1e-6  # share of round-off in a body's forces below which a load counts as none from the start
+
+
+@dataclass(frozen=True)
+class Dashpots:
+    """What slows nodes down in a step: forces `stiffness` × (u − `since`), (owned dofs,) in N/m and m."""
+
+    stiffness: Array
+    since: Array
+
 
 #: All that a step may change, on this rank: arrays by the name of the member that owns them and their own.
 Snapshot = dict[str, dict[str, Array]]
@@ -245,6 +254,8 @@ class ContactProblem:
         #: springs on the pieces that contact alone holds, in the Jacobian only: (N/m) and the share of them in use
         self.springs, self.spring_share = self.bodies.springs(diagonals), 0.0
         self._spring_shares = self.bodies.spring_shares(diagonals, self._touched)
+        #: on the nodes, while the bodies go to where they come to rest (`relaxation`)
+        self.dashpots: Dashpots | None = None
         #: of pieces that contact alone holds; None if there are none
         self.ties = None if self.springs is None else Ties(self.bodies, self.springs.array_r * self._spring_shares)
         self._pressed: Array = np.zeros(self.bodies.pieces)  # most of the contact forces in this solve (N)
@@ -333,11 +344,13 @@ class ContactProblem:
         self.add_contact(f)
 
     def assemble_bulk(self) -> None:
-        """Bring the bulk's forces up to date with the displacements, those of ties among them (collective)."""
+        """Bring the bulk's forces up to date with the displacements, those of ties and dashpots among them (collective)."""
         with self.stopwatch("bulk"):
             self.force_scale = self.bodies.residual(self.bulk_forces)
             if self.ties is not None and self.ties.acts:
                 self.bulk_forces.array[:] += self.ties.forces()
+            if self.dashpots is not None:
+                self.bulk_forces.array[:] += self.dashpots.stiffness * (self.bodies.get() - self.dashpots.since)
 
     def add_contact(self, f: PETSc.Vec) -> None:
         """f ← the bulk's forces and those of contact, as last evaluated."""
@@ -395,6 +408,11 @@ class ContactProblem:
         """The pairs with friction bounds that are not frozen."""
         return [pair for pair in self.pairs if pair.friction and pair.active.frozen is None]
 
+    @property
+    def frozen_bounds(self) -> list[ContactPair]:
+        """The pairs with friction bounds that are frozen."""
+        return [pair for pair in self.pairs if pair.active.frozen is not None]
+
     def freeze_bounds(self) -> list[ContactPair]:
         """Hold the bounds that are free at their present μp: Tresca's law; returns their pairs."""
         free = self.free_bounds
@@ -413,6 +431,12 @@ class ContactProblem:
                 insert_vector(total, blocks, values)
         total.assemble()
         return self.bodies.split(total.array_r)
+
+    def nodal_stiffness(self) -> Array:
+        """(owned dofs,) mean diagonal (N/m) of the bulk's stiffness at each node at the start state; 0 at displacements that
+        are prescribed (collective)."""
+        nodal = np.abs(self.bodies.owned(self._diagonals)).reshape(-1, self.gdim).mean(axis=1)
+        return np.where(self.bodies.prescribed(), 0.0, nodal.repeat(self.gdim))
 
     def masses(self, forms: Sequence[Any]) -> tuple[PETSc.Mat, list[fem.Function]]:
         """The bodies' mass matrix from one bilinear form per body, and its diagonal on each."""
@@ -462,6 +486,11 @@ class ContactProblem:
             self._add_tension()
         if self.springs is not None:
             self._add_springs()
+        if self.dashpots is not None:
+            A = self.blocks[0][0]
+            A.assemble()
+            mine = np.arange(*A.getOwnershipRange(), dtype=np.int32)[:, None]
+            A.setValuesRCV(mine, mine, self.dashpots.stiffness[:, None, None], _ADD)
 
     def findings(self) -> list[Finding]:
         """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse or

@@ -15,12 +15,13 @@ from dolfinx_mortar_al import stepping, validation
 from dolfinx_mortar_al.load import Load, Movable
 from dolfinx_mortar_al.load_watch import LoadWatch
 from dolfinx_mortar_al.monitors import Finding
-from dolfinx_mortar_al.newton import NO_PROGRESS, NewtonSolver, Path
+from dolfinx_mortar_al.newton import NO_PROGRESS, NewtonResult, NewtonSolver, Path
 from dolfinx_mortar_al.pair_findings import PUSHED
 from dolfinx_mortar_al.predictor import Predictor
 from dolfinx_mortar_al.problem import ContactProblem, check_problem
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import all_over, max_over, sum_over
+from dolfinx_mortar_al.relaxation import relax
 from dolfinx_mortar_al.stepping import Attempt, Bar, Controller, Event, March, StepFailure
 
 __all__ = ["Stage", "Step", "StepFailure", "follow", "march"]
@@ -47,6 +48,13 @@ LEAPT_OFF = (
     "all contact was lost in a step in which Newton's iterates were wild, as where an arch snaps through: it may be another "
     "equilibrium than the one that the bodies come to; take smaller steps"
 )
+MOVED_ON = (
+    "no equilibrium was found near the last one: the bodies let go, tip or snap there, or Newton's method did not get on; "
+    "they were moved on, each node slowed by a dashpot, to where they come to rest, friction following their way; "
+    "dynamics.march shows such motions in time"
+)
+LEAPS = "the bodies let go, tip or snap on the way: no equilibrium near the last one leads there"
+RESTLESS = "; nor do the bodies come to rest when they are let go"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,9 +107,10 @@ def march(
 
     A step that fails is undone, slip history included, and tried again at half the increment (a quarter if Newton made no
     progress); the next one is as long, and grows from there after easy steps. Where contact alone holds a body it is first
-    tried without a prediction. The asked-for loads are always met: `increments` equal parts of the way. A load begins where
-    it stands, at the end of an earlier march or as a checkpoint has brought it back; a function that no march has called
-    yet, at 0.
+    tried without a prediction. Other bodies are let go where a sixteenth of the increment fails, and again where the smallest
+    does: they move, slowed, to where they come to rest, which a finding of the step says. The asked-for loads are always
+    met: `increments` equal parts of the way. A load begins where it stands, at the end of an earlier march or as a
+    checkpoint has brought it back; a function that no march has called yet, at 0.
 
     Args:
         problem: to solve.
@@ -282,8 +291,12 @@ def _alike(problem: ContactProblem, a: Array, b: Array) -> bool:
 
 
 def _solve(problem: ContactProblem, solver: NewtonSolver, path: Path | None = None) -> Attempt:
-    """Newton from the present prediction; a fatal finding of a monitor counts as a failure."""
-    result = solver.solve(path)
+    """Newton from the present prediction."""
+    return _judged(problem, solver.solve(path))
+
+
+def _judged(problem: ContactProblem, result: NewtonResult) -> Attempt:
+    """An attempt that ended so; a fatal finding of a monitor counts as a failure."""
     findings = problem.findings() if result.converged else []
     if result.converged and result.unstable and not problem.floating:  # neutral, where nothing resists a slide
         findings.append(UNSTABLE)
@@ -314,6 +327,7 @@ class _LoadControl(Controller[Step]):
         self._was_unstable = self._unstable = False  # the last accepted equilibrium, and that of the last trial
         # whether the next, any trial of this step does without a prediction
         self._from_last = self._tried_from_last = False
+        self._leapt = self._restless = False  # the last trial was no step, and how it ended
         self._path = start
 
     def begin(self) -> None:
@@ -355,7 +369,7 @@ class _LoadControl(Controller[Step]):
         with leg.watch:
             leg.load.set(leg.value(self._x))
         attempt = _solve(self.problem, self.solver)
-        self._unstable = UNSTABLE in attempt.findings
+        self._leapt, self._unstable = False, UNSTABLE in attempt.findings
         if attempt.good and self._unstable and not self._was_unstable:
             # a body does not come to rest there: there may be a stable equilibrium that this step has leapt over
             attempt.good, attempt.message = stepping.CUT * length < max(LEAP, self.smallest), LEAPT
@@ -364,11 +378,36 @@ class _LoadControl(Controller[Step]):
             attempt.good, attempt.message = stepping.CUT * length < max(OFF, self.smallest), LEAPT_OFF
             for pair in (pair for pair, has in zip(self.problem.pairs, parted, strict=True) if has):
                 attempt.findings.append(Finding(f"{pair.name}: contact lost in a leap", 0.0, (), LEAPT_OFF, False))
+        if attempt.good and attempt.newton.leapt and self._may_relax and not self._restless:
+            # where Newton has landed is chance: the way there is found from nearby, with friction along it
+            attempt.good, attempt.message = False, LEAPS
         again = not attempt.newton.converged and not self._tried_from_last and bool(self.problem.floating)
         # A prediction may leave nothing closed or sticking that holds a body which only contact holds; the last state has it.
         self._from_last = again and predicted
         if self._from_last:
             attempt.cut, self._tried_from_last = 1.0, True
+        return attempt
+
+    @property
+    def _may_relax(self) -> bool:
+        """Whether bodies may be let go: what contact alone holds has ties instead, and a membrane's start a tension."""
+        held = not self.problem.floating and not self.problem.lacks_stiffness
+        return held and self.smallest <= stepping.RELAXED
+
+    def relax(self, length: float) -> Attempt | None:
+        p, leg = self.problem, self._legs[self.leg]
+        if not self._may_relax:
+            return None
+        before = p.bodies.get()
+        self._x = leg.x + length
+        self._tried = self._words(leg, self._x)
+        with leg.watch:
+            leg.load.set(leg.value(self._x))
+        attempt = _judged(p, relax(p, self.solver))
+        self._restless = not attempt.good
+        if attempt.good:
+            attempt.findings.append(Finding("leap (m)", *p.bodies.farthest(p.bodies.get() - before), MOVED_ON, False))
+        self._leapt, self._unstable = True, UNSTABLE in attempt.findings
         return attempt
 
     def undo(self) -> None:
@@ -382,10 +421,10 @@ class _LoadControl(Controller[Step]):
     def accept(self, done: stepping.Step) -> Step:
         leg, stage = self._legs[self.leg], self.leg
         self._was_unstable = self._unstable
-        self._from_last = self._tried_from_last = False
+        self._from_last = self._tried_from_last = self._restless = False
         self.problem.commit()
         leg.x, self._at = self._x, self._tried
-        self._predictor.add(leg.x / leg.increments)
+        self._predictor.add(leg.x / leg.increments, afresh=self._leapt)
         if over := self._leg_over or leg.x >= leg.increments:
             self._turn()
         if over or self._over:
@@ -409,6 +448,7 @@ class _LoadControl(Controller[Step]):
         self._predictor.turn(scale)
 
     def failure(self, reason: str) -> str:
+        reason += RESTLESS if self._restless else ""
         return f"no convergence at {self._tried} with the smallest step: {reason}; the steps up to {self._at} are converged"
 
 

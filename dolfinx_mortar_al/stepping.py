@@ -30,6 +30,7 @@ __all__ = ["Attempt", "Bar", "Controller", "Event", "March", "Step", "StepFailur
 EASY = 8  # Newton iterations up to which a step that was cut may grow again
 GROWTH = 2.0  # of a step from one to the next at most
 CUT = 1 / 2  # of a step after a failure
+RELAXED = 2.0**-4  # of an asked-for step: with as little the bodies are let go to where they come to rest
 EVENT = 2.0**-6  # of an asked-for step: how closely an event is met
 
 
@@ -113,6 +114,10 @@ class Controller(ABC, Generic[S]):
     def attempt(self, length: float, nominal: bool) -> Attempt:
         """Predict, solve and judge a step (collective)."""
 
+    def relax(self, length: float) -> Attempt | None:
+        """Where steps fail: let the bodies go to where they come to rest, `length` on; None if they cannot (collective)."""
+        return None
+
     @abstractmethod
     def undo(self) -> None:
         """Back to the last accepted step (collective)."""
@@ -145,6 +150,7 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
     control.begin()
     iterations, clock = 0, perf_counter()
     reasons: list[str] = []
+    relaxed = False  # whether that has been tried in this step
     while not control.finished:
         length, nominal = control.clip(size)
         attempt = control.attempt(length, nominal)
@@ -154,10 +160,19 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
             size = attempt.cut * length
             reasons.append(f"{control.at(tried=True)}: {attempt.message}")
             control.undo()
-            if size < control.smallest:
-                control.problem.show_committed()
-                raise StepFailure(control.failure(attempt.message))
-            continue
+            last = size < control.smallest
+            moved = control.relax(length) if length <= RELAXED and (last or not relaxed) else None
+            if moved is not None:
+                relaxed = True
+                iterations += moved.newton.iterations
+                if not moved.good:
+                    control.undo()
+            if moved is None or not moved.good:
+                if last:
+                    control.problem.show_committed()
+                    raise StepFailure(control.failure(attempt.message))
+                continue
+            attempt, size = moved, length
         if control.event() and length > EVENT:
             control.undo()
             size, closing_in = length / 2, True
@@ -174,7 +189,7 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
         bar.show(control.at(), control.share, step)
         reporter.report(step.findings, control.at())
         yield step
-        iterations, reasons, clock = 0, [], perf_counter()
+        iterations, reasons, clock, relaxed = 0, [], perf_counter(), False
 
 
 class March(Generator[S, None, None]):

@@ -1,0 +1,54 @@
+"""Where bodies go when no equilibrium is near: viscous relaxation (``docs/newton.md``).
+
+A soft block that is dragged bends until it lets go, tips or snaps: at such a limit point the equilibria turn back, and past
+it none is near, however short the increment. Bodies then move until they come to rest, and friction follows their way. Here
+they do so without inertia, each node slowed by a dashpot of the body's own nodal stiffness k (N/m),
+
+    R(u) + contact + k u̇ = 0,
+
+in implicit Euler steps of length 1/δ: R(u) + contact + δ k (u − uₙ) = 0. With δ = 1 a node is held about as firmly by where
+it was as by its neighbours, so that Newton has little to do; each easy step is followed by a longer one. One that fails, or
+has a fatal finding, such as a surface that has passed through another, is undone and taken shorter. When steps are so long
+that dashpots bear next to nothing, the last one is without. If there is no friction it is steepest descent of the energy in
+the norm of k: no unstable equilibrium stops it for long.
+"""
+
+from __future__ import annotations
+
+from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
+from dolfinx_mortar_al.problem import ContactProblem, Dashpots
+
+__all__ = ["relax"]
+
+FIRST = 1.0  # δ of the first step
+CHANGE = 4.0  # of δ from step to step
+EASY = 8  # Newton iterations up to which the next step is longer
+LEAST = 1e-5  # δ below which a step is taken without dashpots
+MOST = 100.0  # δ beyond which it is not for want of time that steps fail
+MAX_STEPS = 80  # after which the bodies count as moving on for good
+
+
+def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
+    """Let the bodies go on from the present state, with the loads as they are, until they come to rest; what Newton did in
+    the last step, with the iterations of all. Where it has not converged they are not at rest, and the caller undoes it
+    (collective)."""
+    k, δ, iterations = problem.nodal_stiffness(), FIRST, 0
+    rests = False
+    for _ in range(MAX_STEPS):
+        before = problem.snapshot()
+        slowed = δ > LEAST
+        problem.dashpots = Dashpots(δ * k, problem.bodies.get()) if slowed else None
+        result = solver.solve()
+        iterations += result.iterations
+        rests = result.converged and not slowed
+        if rests or δ > MOST:
+            break
+        if result.converged and not any(finding.fatal for finding in problem.findings()):
+            problem.commit()
+            δ = δ / CHANGE if result.iterations <= EASY else δ
+        else:
+            problem.restore(before)
+            δ *= CHANGE
+    problem.dashpots = None
+    result.converged, result.iterations = rests, iterations
+    return result

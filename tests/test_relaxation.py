@@ -1,0 +1,142 @@
+"""Where no equilibrium is near: bodies that are let go come to rest, in the state that they reach on other ways, too."""
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import CellType, create_rectangle, locate_entities_boundary, meshtags
+from mpi4py import MPI
+from scenes import beams, rough, set_field, tip
+
+from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, quasistatic
+from dolfinx_mortar_al.materials import saint_venant_kirchhoff
+from dolfinx_mortar_al.monitors import ModelWarning
+from dolfinx_mortar_al.obstacles import RigidPlane
+from dolfinx_mortar_al.problem import Dashpots
+from dolfinx_mortar_al.quasistatic import StepFailure
+from dolfinx_mortar_al.relaxation import relax
+
+RISE, THICKNESS = 0.1, 0.02  # m, of an arch that spans one metre
+TOP = (0.5, RISE)
+
+
+def rise(x):
+    return RISE * np.sin(np.pi * x) ** 2
+
+
+def arch(plate=-1.0):
+    """A shallow arch of E = 1 GPa, clamped at both ends, with a dead load (N/m) on its middle half, above a plate (m)."""
+    corners = [[0.0, -THICKNESS / 2], [1.0, THICKNESS / 2]]
+    domain = create_rectangle(MPI.COMM_WORLD, corners, [24, 1], CellType.quadrilateral)
+    domain.geometry.x[:, 1] += rise(domain.geometry.x[:, 0])
+    u, P = fem.Function(fem.functionspace(domain, ("Lagrange", 2, (2,)))), fem.Constant(domain, 0.0)
+    V = u.function_space
+    ends = locate_entities_boundary(domain, 1, lambda x: (x[0] < 1e-9) | (x[0] > 1 - 1e-9))
+    lower = locate_entities_boundary(
+        domain, 1, lambda x: (x[1] < rise(x[0]) - 0.9 * THICKNESS / 2) & (x[0] > 0.2) & (x[0] < 0.8)
+    )
+    tags = meshtags(domain, 1, np.sort(lower), np.ones(len(lower), dtype=np.int32))
+    v, X = ufl.TestFunction(V), ufl.SpatialCoordinate(domain)
+    middle = ufl.conditional(ufl.lt(abs(X[0] - 0.5), 0.25), 2.0 / THICKNESS, 0.0)
+    F = saint_venant_kirchhoff(1e9, 0.3).virtual_work(u) + P * middle * v[1] * ufl.dx
+    clamped = fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, ends), V)
+    contact = Contact(Surface(domain, tags, 1), RigidPlane([0.0, plate], [0.0, 1.0]))
+    return ContactProblem(F, u, bcs=[clamped], contacts=[contact]), P
+
+
+@pytest.mark.parametrize("P, plate", [(5e4, -1.0), (4e5, -0.06)], ids=["free", "onto a plate"])
+def test_an_arch_let_go_snaps_through(P, plate):
+    """From rest, with a load beyond its limit, it comes to rest where it does if it is turned over by hand before it is
+    loaded, to 1e-8 of its rise; in the plate's way or not."""
+    (problem, load), (other, same) = arch(plate), arch(plate)
+    load.value = same.value = P
+    result = relax(problem, NewtonSolver(problem))
+    assert result.converged and result.signs[-1] > 0
+    set_field(other, lambda X: np.c_[0 * X[:, 0], -1.6 * rise(X[:, 0])])
+    assert NewtonSolver(other).solve().converged
+    assert abs(tip(problem, TOP) - tip(other, TOP)).max() < 1e-8 * RISE
+    assert tip(problem, TOP)[1] < -1.4 * RISE
+    assert (problem.pairs[0].force()[1] > 0) == (plate > -1.0)
+
+
+def test_below_its_limit_it_stays():
+    """With half of the load that it can bear it comes to rest where Newton's method finds it at once."""
+    (problem, load), (other, same) = arch(), arch()
+    load.value = same.value = 1.5e4
+    assert relax(problem, NewtonSolver(problem)).converged
+    assert NewtonSolver(other).solve().converged
+    assert abs(tip(problem, TOP) - tip(other, TOP)).max() < 1e-8 * RISE
+
+
+class Stuck(NewtonSolver):
+    """Fails where nothing slows the bodies down, until they have been let go and have come to rest, if that they do."""
+
+    def __init__(self, problem, rests):
+        super().__init__(problem)
+        self.rests, self.slowed, self.stuck = rests, False, True
+
+    def solve(self, path=None):
+        result = super().solve(path)
+        slowed = self.problem.dashpots is not None
+        self.stuck &= not (result.converged and self.slowed and not slowed and self.rests)
+        result.converged &= slowed or not self.stuck
+        self.slowed = slowed
+        return result
+
+
+def test_a_march_goes_on_by_letting_the_bodies_go():
+    """Where no step gets through, not even a sixteenth, the bodies are let go; that is said, with the place that moved
+    farthest, and the march goes on from there, to where one without trouble comes."""
+    (problem, load), (other, same) = beams(friction=0.3), beams(friction=0.3)
+    with pytest.warns(ModelWarning, match=r"leap \(m\) = .* at X = \(1, "):
+        steps = list(quasistatic.march(problem, load, to=1.0, increments=1, solver=Stuck(problem, rests=True)))
+    assert steps[0].load == 1 / 16 and len(steps[0].reasons) == 5
+    assert [any(f.name == "leap (m)" for f in step.findings) for step in steps] == [True] + [False] * (len(steps) - 1)
+    assert problem.dashpots is None and steps[-1].load == 1.0
+    list(quasistatic.march(other, same, to=1.0, increments=16))
+    assert np.allclose(tip(problem), tip(other), rtol=1e-3)  # slip hangs on the increments
+
+
+def test_bodies_that_do_not_come_to_rest_are_undone():
+    """The march ends with its reason, and with the state of the last step."""
+    problem, load = beams()
+    with pytest.raises(
+        StepFailure, match=r"nor do the bodies come to rest when they are let go; the steps up to load 0 "
+    ):
+        list(quasistatic.march(problem, load, to=1.0, increments=1, solver=Stuck(problem, rests=False), smallest=2**-5))
+    assert problem.dashpots is None and not problem.u.x.array.any()
+
+
+def test_tangent_of_dashpots():
+    """They are part of the residual and of its derivative, and leave prescribed displacements alone."""
+    problem, P = beams()
+    P.value = 1.0
+    start, go = rough(1e-4, 1), rough(1.0, 2)
+    k = problem.nodal_stiffness()
+    assert not k[problem.bodies.prescribed()].any() and (k[~problem.bodies.prescribed()] > 0).all()
+    problem.dashpots = Dashpots(0.3 * k, 0.5 * k / k.max())
+    x, f = problem.x, problem.residual
+
+    def state(h):
+        set_field(problem, lambda X: start(X) + h * go(X))
+
+    def at(h):
+        state(h)
+        problem.pack(x)
+        problem.assemble_residual(x, f)
+        return f.getNestSubVecs()[0].array.copy()
+
+    with_them = at(0.0)
+    problem.assemble_jacobian()
+    set_field(problem, go)
+    d, Kd = x.duplicate(), x.duplicate()
+    problem.pack(d)
+    problem.matrix.mult(d, Kd)
+    difference = (at(1e-7) - at(-1e-7)) / 2e-7
+    derivative = Kd.getNestSubVecs()[0]
+    miss = problem.comm.allreduce(np.sum((difference - derivative.array) ** 2))
+    assert np.sqrt(miss) < 1e-8 * derivative.norm()
+    state(0.0)
+    forces = problem.dashpots.stiffness * (problem.bodies.get() - problem.dashpots.since)
+    problem.dashpots = None
+    assert np.allclose(with_them - at(0.0), forces, rtol=0.0, atol=1e-12 * abs(forces).max())
