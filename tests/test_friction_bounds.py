@@ -34,7 +34,8 @@ class Bounds:
 
 
 def rounds(eigenvalue, start=1.05, most=60, until=1e-6):
-    """Bounds after each round with wanted = 1 + eigenvalue (b − 1), never freed, until their error is small."""
+    """Bounds after each round with wanted = 1 + eigenvalue (b − 1), never freed, until their error is small; and whether they
+    have been led away from 1."""
     active = Bounds([start, 2.0], lambda b: np.array([1.0 + eigenvalue * (b[0] - 1.0), 2.0]))
     pair = SimpleNamespace(active=active, state=None, friction_coefficient=0.5)
     bounds = FrictionBounds(SimpleNamespace(comm=MPI.COMM_SELF, frozen_bounds=[pair]))
@@ -43,23 +44,23 @@ def rounds(eigenvalue, start=1.05, most=60, until=1e-6):
     while bounds.error > until and bounds.rounds < most:
         bounds.renew(bounds.error)
         history.append(active.frozen[0])
-    return history
+    return history, bounds.leave
 
 
 @pytest.mark.parametrize("eigenvalue", [-0.99, -1.5, -0.5, 0.3, 0.6, 0.9])
 def test_what_swings_is_damped_and_what_creeps_extrapolated(eigenvalue):
     """Plain rounds would take 1 300, for ever, 16, 10, 24 and 112 for an error of 1e-6; a linear map takes two and what θ may
     grow in."""
-    history = rounds(eigenvalue)
-    assert abs(history[-1] - 1.0) < 1e-5
+    history, left = rounds(eigenvalue)
+    assert not left and abs(history[-1] - 1.0) < 1e-5
     assert len(history) <= 9
 
 
 @pytest.mark.parametrize("eigenvalue", [1.02, 1.15])
 def test_an_unstable_fixed_point_is_left(eigenvalue):
     """Away from where the error came from, ever faster, and never back."""
-    history = rounds(eigenvalue, start=1.001, most=12)
-    assert np.all(np.diff(history) > 0)
+    history, left = rounds(eigenvalue, start=1.001, most=12)
+    assert left and np.all(np.diff(history) > 0)
     assert history[-1] - 1.0 > 10 * (0.001 * eigenvalue**11)
 
 

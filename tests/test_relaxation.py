@@ -97,6 +97,33 @@ def test_a_march_goes_on_by_letting_the_bodies_go():
     assert np.allclose(tip(problem), tip(other), rtol=1e-3)  # slip hangs on the increments
 
 
+class Leaping(NewtonSolver):
+    """Says of its first five steps that they have leapt, though they converge."""
+
+    def solve(self, path=None):
+        result = super().solve(path)
+        self.count = getattr(self, "count", 0) + (self.problem.dashpots is None)
+        result.leapt = self.problem.dashpots is None and self.count <= 5
+        return result
+
+
+def test_where_newton_leaps_the_bodies_are_let_go_nearby():
+    """A step that leaps is none: it is halved down to a sixteenth, and from there the bodies go by themselves."""
+    problem, load = beams(friction=0.3)
+    with pytest.warns(ModelWarning, match=r"leap \(m\)"):
+        steps = list(quasistatic.march(problem, load, to=1.0, increments=1, solver=Leaping(problem)))
+    assert steps[0].load == 1 / 16 and len(steps[0].reasons) == 5
+    assert all("no equilibrium near the last one leads there" in reason for reason in steps[0].reasons)
+    assert not any(step.reasons for step in steps[1:])
+
+
+def test_where_increments_may_not_be_cut_a_leap_counts():
+    """Nobody asked for shorter steps."""
+    problem, load = beams(friction=0.3)
+    steps = list(quasistatic.march(problem, load, to=1.0, increments=1, solver=Leaping(problem), smallest=1.0))
+    assert [step.load for step in steps] == [1.0] and not steps[0].reasons
+
+
 def test_bodies_that_do_not_come_to_rest_are_undone():
     """The march ends with its reason, and with the state of the last step."""
     problem, load = beams()
