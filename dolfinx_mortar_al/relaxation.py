@@ -17,12 +17,12 @@ from __future__ import annotations
 
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem, Dashpots
+from dolfinx_mortar_al.stepping import EASY
 
 __all__ = ["relax"]
 
 FIRST = 1.0  # δ of the first step
 CHANGE = 4.0  # of δ from step to step
-EASY = 8  # Newton iterations up to which the next step is longer
 LEAST = 1e-5  # δ below which a step is taken without dashpots
 MOST = 100.0  # δ beyond which it is not for want of time that steps fail
 MAX_STEPS = 80  # after which the bodies count as moving on for good
@@ -38,7 +38,10 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
         before = problem.snapshot()
         slowed = δ > LEAST
         problem.dashpots = Dashpots(δ * k, problem.bodies.get()) if slowed else None
-        result = solver.solve()
+        try:
+            result = solver.solve()
+        finally:
+            problem.dashpots = None
         iterations += result.iterations
         rests = result.converged and not slowed
         if rests or δ > MOST:
@@ -49,6 +52,5 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
         else:
             problem.restore(before)
             δ *= CHANGE
-    problem.dashpots = None
     result.converged, result.iterations = rests, iterations
     return result
