@@ -394,6 +394,11 @@ class Bodies:
         high = np.max(self.comm.allgather(x.max(axis=0, initial=-np.inf)), axis=0)
         return float(np.linalg.norm(high - low))
 
+    def reach(self) -> float:
+        """Largest distance of a node from the origin (m), collective."""
+        x = np.concatenate([body.mesh.geometry.x for body in self.bodies])
+        return max_over(self.comm, float(np.linalg.norm(x, axis=1).max(initial=0.0)))
+
     def farthest(self, values: Array) -> tuple[float, tuple[float, ...]]:
         """The longest nodal vector of (owned dofs,), and the reference position of its node (collective)."""
         nodal = np.linalg.norm(values.reshape(-1, self.gdim), axis=1)

@@ -191,8 +191,10 @@ class ContactPair(PairFindings):
         self.gauss = self._points(contactor)
         self.integration = self.gauss
         self.area = sum_over(self.comm, float(self.j.sum()))
+        self._facet_count = sum_over(self.comm, self.facets.size)
         self._check_apart(contactor)
-        self.kinematics: Kinematics = PositionLevel(self.integration, self._body1.u, self.target, friction)
+        reach = max(bodies.reach(), self.target.reach)
+        self.kinematics: Kinematics = PositionLevel(self.integration, self._body1.u, self.target, friction, reach)
         # points, what the law said and slip in the last step that was committed; (nf, nodes, gdim) where the nodes were (m)
         self._committed: tuple[IntegrationPoints, LawState, Array | None] | None = None
         self._committed_at: Array = np.zeros(0)
@@ -337,6 +339,12 @@ class ContactPair(PairFindings):
         self.set_law(min(contactor, target))
         self._hold_smooth()
 
+    @property
+    def force_round_off(self) -> float:
+        """What ε makes of the round-off of positions (N): of nodal forces on all facets, which add up at random."""
+        ε = max(self.epsilon.normal, self.epsilon.tangential)
+        return float(ε * self.kinematics.round_off * self.area / np.sqrt(self._facet_count))
+
     def surface_stiffness(self, diagonals: Sequence[fem.Function]) -> float:
         """The softer side's mean nodal stiffness per facet area (Pa/m), from diagonals (N/m) of the bodies' matrices."""
         return min(self._stiffnesses(diagonals))
@@ -345,8 +353,7 @@ class ContactPair(PairFindings):
         """The contactor's and the target's mean nodal stiffness per facet area (Pa/m)."""
         mine = next(d for d in diagonals if d.function_space is self._body1.space)
         own = self._at_nodes(mine).mean(axis=(1, 2)) / self.integration.sum_by_facet(self.j)
-        count = sum_over(self.comm, self.facets.size)
-        contactor = sum_over(self.comm, float(own.sum())) / count
+        contactor = sum_over(self.comm, float(own.sum())) / self._facet_count
         target = self.target.stiffness(diagonals, self.thickness)
         for side, stiffness in (
             (f"contactor (tag {self.contact.contactor.tag})", contactor),

@@ -29,6 +29,7 @@ Bool = NDArray[np.bool_]
 # Of a gap's turn, what the target's facet says; the contactor's says the rest: half each, so that two bodies that mirror each
 # other have no slip (docs/theory.md).
 SHARE = 0.5
+ROUND_OFF = 4e-16  # of gaps, which are differences of sums, as a share of the distance from the origin
 
 
 @dataclass
@@ -53,11 +54,13 @@ class Kinematics(ABC):
         u: displacement of the contactor's body; ghosts are up to date.
         target: what the points face.
         friction: whether a slip is kept.
+        reach: largest distance of a point of either side from the origin (m).
 
     Attributes:
         x: (n, gdim) contactor points now (m); at: what they face; s: (n, gdim) slip increment (m), None without friction.
         may_close: (n,) points that contact may take part in at all.
-        touch: gaps below are round-off (m).
+        reach: as above; round_off: of gaps and slips, which are differences of positions (m).
+        touch: gaps below count as none (m).
         history: (n,) the target's points Y_{n−1} that the slip is counted from.
         ρ: (n, gdim) 𝐱 − φ₂(Y_{n−1}) of step n − 1 in the target's frame there (`carried.py`), 0 where it is not needed.
         offset: (n,) depth from which the law counts a point's penetration (m): that at which a time step brought it into
@@ -69,9 +72,10 @@ class Kinematics(ABC):
     s: Array | None
     may_close: Bool
 
-    def __init__(self, points: IntegrationPoints, u: fem.Function, target: Target, friction: bool) -> None:
-        self.points, self.target, self.friction = points, target, friction
-        self.touch = 1e-12 * target.size
+    def __init__(self, points: IntegrationPoints, u: fem.Function, target: Target, friction: bool, reach: float) -> None:
+        self.points, self.target, self.friction, self.reach = points, target, friction, reach
+        self.round_off = ROUND_OFF * reach
+        self.touch = max(1e-12 * target.size, self.round_off)
         self._u = u
         self.offset: Array = np.zeros(points.size)
         self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros((points.size, points.η.shape[1])))

@@ -78,6 +78,11 @@ class Obstacle(ABC):
         self._pose = Pose.initial(len(pivot))
 
     @property
+    def reach(self) -> float:
+        """The length that its surface is computed with (m): as a share of it distances from the obstacle have round-off."""
+        return float(np.linalg.norm(self.pivot))
+
+    @property
     def gdim(self) -> int:
         """Dimension of space."""
         return len(self.pivot)
@@ -187,6 +192,10 @@ class RigidSphere(Obstacle):
         super().__init__(_vector("centre", centre))
         self.radius, self.inside = _radius(radius), inside
 
+    @property
+    def reach(self) -> float:
+        return super().reach + self.radius
+
     def _nearest(self, r: Array) -> _Nearest:
         e, defined = _direction(r, np.eye(self.gdim)[0], self.radius)
         side = -1.0 if self.inside else 1.0
@@ -211,6 +220,10 @@ class RigidCylinder(Obstacle):
         super().__init__(_vector("point", point, 3))
         self.axis = _unit("axis", axis, 3)
         self.radius, self.inside = _radius(radius), inside
+
+    @property
+    def reach(self) -> float:
+        return super().reach + self.radius
 
     def _nearest(self, r: Array) -> _Nearest:
         along = (r @ self.axis)[:, None] * self.axis

@@ -50,11 +50,15 @@ FREE = (
     "supports do not keep it in place and no load presses it on, so that nothing says where it is, or whether what it lies "
     "on carries it along; press it on, hold one of its nodes, or let it move with dynamics.march"
 )
+ROUNDED = (
+    "share of the contact forces that round-off of positions makes, as far as can be told: what it presses is stiff for so "
+    "small a load, or lies far from the origin; move the meshes there, or take these forces for none"
+)
 SLIDE = (
     "share of the contact forces that push it where nothing resists, from pressures on a coarse mesh or a small load; a tie "
     "to where it was bears them; refine its surface, or prescribe the motion that is free, of one node"
 )
-TOLD = 1e-3  # share of the contact forces that a tie may bear unsaid
+TOLD = 1e-3  # share of the contact forces that a tie may bear, or round-off may be, unsaid
 OUT_OF_BALANCE = 0.1  # of the worst: loose bodies that a failed solve names
 LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
 NOISE = 1e-3  # share of round-off in a body's forces below which a tie bears nothing, and contact does not press on it
@@ -178,7 +182,7 @@ class ContactProblem:
         self.force_floor = 2e-15 * self.bodies.stiffest(stiffness) * self.bodies.diameters()
         #: size of forces that a step of bodies in motion resolves, on all pieces (N); None in statics
         self.force_reference: float | None = None
-        self.gap_floor = [2e-15 * diameter * pair.area for pair in self.pairs]
+        self.gap_floor = [max(2e-15 * diameter, pair.kinematics.round_off) * pair.area for pair in self.pairs]
 
     def pair(self, name: str) -> ContactPair:
         """The pair of a name.
@@ -216,16 +220,26 @@ class ContactProblem:
         for force, touched in zip(forces, self._touched, strict=True):
             np.maximum(scale, force, out=scale, where=touched)
         corrected |= moving
-        tolerance = np.maximum(rtol * scale, self.force_floor * (1.0 if corrected else UNSEEN))
-        worst = self.bodies.norms(f[0].array_r) / tolerance
-        if not moving:  # round-off is no force on a piece as a whole
-            seen = np.maximum(rtol * scale, self.force_floor * UNSEEN)
+        seen = np.maximum(rtol * scale, self.force_floor * UNSEEN)
+        if corrected:
+            seen = np.maximum(seen, self._contact_round_off())
+        worst = self.bodies.norms(f[0].array_r) / (np.maximum(seen, self.force_floor) if corrected else seen)
+        if not moving:  # the bodies' round-off is no force on a piece as a whole
             worst = np.maximum(worst, self.bodies.resultants(f[0].array_r) / seen)
         ratios = [float(np.max(worst))]
         for pair, force, floor, part in zip(self.pairs, forces, self.gap_floor, f[1:], strict=True):
             gap = max(rtol * max(force, reference) / pair.stiffness, floor)
             ratios.append(part.norm() / (pair.unit * gap))
         return ratios
+
+    def _contact_round_off(self) -> Array:
+        """(pieces,) what the round-off of positions makes of the contact forces on each (N)."""
+        forces = np.array([pair.force_round_off for pair in self.pairs])
+        return np.asarray(forces @ np.array(self._touched, dtype=float).reshape(-1, self.bodies.pieces))
+
+    def _no_press(self) -> Array:
+        """(pieces,) forces (N) below which contact does not press on a piece, and ties bear nothing."""
+        return np.maximum(NOISE * self.force_floor, self._contact_round_off())
 
     def inverted_volume(self) -> float:
         """Reference volume where det F ≤ 0 or is not a number, at the bulk's Gauss points (collective)."""
@@ -517,13 +531,15 @@ class ContactProblem:
         return found
 
     def _let_go(self) -> list[Finding]:
-        """Pieces that contact alone held in the last equilibrium and that nothing touches now; and those that nothing presses
-        on, other than in that one (collective)."""
+        """Pieces that contact alone held in the last equilibrium and that nothing touches now; those that nothing presses on,
+        other than in that one; and those on which round-off presses (collective)."""
         if not self.floating:
             return []
         here = np.array([(pair.active.closed.any(), pair.was_in_contact()) for pair in self.pairs], dtype=int)
         now, before = sum_over(self.comm, here.reshape(-1, 2)).T > 0
-        self._free = np.asarray(self._pressing() <= NOISE * self.force_floor)
+        pressing = self._pressing()
+        self._free = np.asarray(pressing <= self._no_press())
+        rounded = self._contact_round_off() / np.maximum(pressing, 1e-300)
         found = []
         for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
             for piece in body.floating:
@@ -533,6 +549,8 @@ class ContactProblem:
                     found.append(Finding(f"contacts of {piece}", 0.0, (), LET_GO, fatal=False))
                 elif self._free[n] and not self._known_free[n]:
                     found.append(Finding(f"contact forces on {piece}", 0.0, (), FREE, fatal=False))
+                elif not self._free[n] and rounded[n] > TOLD:
+                    found.append(Finding(f"round-off on {piece}", float(rounded[n]), (), ROUNDED, fatal=False))
         return found
 
     def evaluate(self) -> None:
@@ -618,7 +636,7 @@ class ContactProblem:
         assert self.ties is not None
         pressed = self._pressing()
         np.maximum(self._pressed, pressed, out=self._pressed)
-        bear = self.ties.bearing(self.bulk_forces.array_r, self._pressed, pressed, NOISE * self.force_floor)
+        bear = self.ties.bearing(self.bulk_forces.array_r, self._pressed, pressed, self._no_press())
         for _, touched in product(self.pairs, self._touched):  # what pushes a piece pushes others that it presses on
             together = touched & self.ties.tied
             bear.pushed[together] = bear.pushed[together].max(initial=0.0)

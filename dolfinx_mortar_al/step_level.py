@@ -83,7 +83,7 @@ class StepLevel(Kinematics):
     """
 
     def __init__(self, before: Kinematics) -> None:
-        super().__init__(before.points, before._u, before.target, before.friction)
+        super().__init__(before.points, before._u, before.target, before.friction, before.reach)
         self.x, self.at, self.s, self.may_close = before.x, before.at, before.s, before.may_close
         self.offset = before.offset
         self.set_history(before.history)

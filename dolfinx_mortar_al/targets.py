@@ -54,7 +54,8 @@ class Target(ABC):
         facets: (nf, k) nodes of each facet, indices into `blocks`; neighbours: (nf, m) facets that share a side with each.
         blocks: (nodes,) numbers of the target's nodes among all bodies'.
         fixed: (nodes, gdim) whether a component is prescribed; end_nodes: (nodes,) whether a node lies on an end.
-        size: largest diameter of a facet (m), the length by which gaps are judged.
+        size: largest diameter of a facet (m), the length by which gaps are judged; reach: of an obstacle, the length that its
+            surface is computed with (m), 0 for bodies.
         extents: (nf,) reference area of each facet to the power 1/dim (m), infinite for an obstacle.
         spacing: of neighbouring nodes, in extents.
         dim: of the surface; is_rigid: whether it is an obstacle; uses_rays: whether it is projected onto along the
@@ -67,6 +68,7 @@ class Target(ABC):
     fixed: NDArray[np.bool_]
     end_nodes: NDArray[np.bool_]
     size: float
+    reach = 0.0
     extents: Array
     spacing: float
     dim: int
@@ -251,7 +253,7 @@ class RigidTarget(Target):
     def __init__(self, obstacle: Obstacle, gdim: int, size: float) -> None:
         if obstacle.gdim != gdim:
             raise ValueError(f"target: an obstacle in {obstacle.gdim} dimensions for bodies in {gdim}")
-        self.obstacle, self.size, self.dim = obstacle, size, gdim - 1
+        self.obstacle, self.size, self.dim, self.reach = obstacle, size, gdim - 1, obstacle.reach
         self.facets, self.neighbours = np.zeros((1, 0), dtype=np.int64), np.zeros((1, 1), dtype=np.int64)
         self.blocks, self.end_nodes = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
         self.fixed = np.zeros((0, gdim), dtype=bool)
