@@ -26,15 +26,16 @@ from meshes.two_beams import UPPER, TwoBeams
 LOAD = 1e4  # N/m³, dead
 
 
-def loose_block(*, gap=0.0, friction=0.3, tilt=0.0, comm=MPI.COMM_WORLD):
-    """A block without any condition, above a slab held at its bottom, under a dead load along (tilt, −1)."""
+def loose_block(*, gap=0.0, friction=0.3, tilt=0.0, E=1e5, at=(0.0, 0.0), comm=MPI.COMM_WORLD):
+    """A block without any condition, above a slab held at its bottom, under a dead load along (tilt, −1); `at`: where."""
     domain, cells, tags = TwoBeams(length=1.0, height=0.5, along=(7, 5), across=3, gap=gap).create(comm)
+    domain.geometry.x[:, :2] += at
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     u, load = fem.Function(V), fem.Constant(domain, 0.0)
-    bottom = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], -0.5))
+    bottom = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], at[1] - 0.5))
     held = fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, bottom), V)
     dx = ufl.Measure("dx", domain, subdomain_data=cells)
-    F = materials.neo_hookean(1e5, 0.3).virtual_work(u, dx=dx)
+    F = materials.neo_hookean(E, 0.3).virtual_work(u, dx=dx)
     F -= load * ufl.dot(ufl.as_vector([tilt, -1.0]), ufl.TestFunction(V)) * dx(UPPER)
     return ContactProblem(F, u, bcs=[held], contacts=[contact_of(domain, tags, friction=friction)]), load
 
@@ -116,6 +117,24 @@ def test_a_block_is_free_once_its_load_is_taken_away():
             assert step.findings == ()
     (step,) = quasistatic.march(problem, load, to=0.0, increments=1)
     assert [FREE in str(finding) for finding in step.findings] == [True]
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("far", [0.7, 1e3])
+@pytest.mark.parametrize("E", [1e5, 1e11])
+def test_light_loads_are_borne_to_round_off(E, far, friction):
+    """Down to a load that strains the block by 1e-14, wherever it lies: forces are right to the round-off of positions in the
+    law, 4e-16 of the distance times ε over all facets, and said to be so where that is more than a thousandth."""
+    problem, load = loose_block(E=E, at=(far, 1.3 * far), friction=friction)
+    for share in (1.0, 1e-3, 1e-6):
+        (step,) = quasistatic.march(problem, load, to=share * LOAD, increments=1)
+        assert step.rejected == 0 and step.iterations <= 5
+        off = 4e-16 * np.hypot(1.0 + far, 1.3 * far + 0.5) * problem.pairs[0].epsilon.normal / (0.5 * share * LOAD)
+        assert np.linalg.norm(problem.pairs[0].force() - [0.0, 0.5 * share * LOAD]) <= max(1e-9, off) * 0.5 * share * LOAD
+        said = [str(finding) for finding in step.findings]
+        assert said == [] if off < 1e-3 else True
+        assert len(said) == 1 if off > 1e-2 else True  # between them it hangs on the number of facets
+        assert all(text.startswith(("round-off on the body", "contact forces on the body")) for text in said)
 
 
 @pytest.mark.parametrize(
