@@ -382,7 +382,7 @@ class ContactPair(PairFindings):
         self._same_ε = εN == εT or not self.friction
         self.law: Frictionless | Coulomb = Frictionless(self.epsilon)
         if self.friction:
-            self.law = Coulomb(self.epsilon, self.friction_coefficient, noise=εT * self.kinematics.touch)
+            self.law = Coulomb(self.epsilon, self.friction_coefficient, noise=εT * self.kinematics.round_off)
 
     def _hold_flat(self) -> None:
         """Let ε grow with the pressure p where that comes near a body's moduli: on the slope of a ripple as long as a facet,

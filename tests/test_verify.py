@@ -17,10 +17,16 @@ def test_every_case_is_on_the_command_line():
     assert all(case.description and case.quantities for case in CASES.values())
 
 
+ON_RANKS = ("patch-2d", "patch-3d", "rings", "hertz-plane", "incline")  # flat and curved, in the plane and in space
+
+
 def test_quick_suite_and_its_page(shared_path, capsys):
-    """Every quantity within its tolerance; a page and a picture per case."""
-    lines = main(["--quick", "--report", str(shared_path)])
-    assert {line.case for line in lines} == {name for name in ORDER if CASES[name].quick}
+    """Every quantity within its tolerance; a page and a picture per case. On several ranks some of the cases: the time of all
+    is that of a tenth of the suite."""
+    names = ORDER if MPI.COMM_WORLD.size == 1 else ON_RANKS
+    chosen = [] if names is ORDER else [word for name in names for word in ("--case", name)]
+    lines = main(["--quick", *chosen, "--report", str(shared_path)])
+    assert {line.case for line in lines} == {name for name in names if CASES[name].quick}
     assert [f"{line.case}, {line.quantity.name}" for line in lines if not line.hit] == []
     if MPI.COMM_WORLD.rank == 0:
         page = (shared_path / "verification.md").read_text()
