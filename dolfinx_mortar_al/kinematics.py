@@ -72,7 +72,9 @@ class Kinematics(ABC):
     s: Array | None
     may_close: Bool
 
-    def __init__(self, points: IntegrationPoints, u: fem.Function, target: Target, friction: bool, reach: float) -> None:
+    def __init__(
+        self, points: IntegrationPoints, u: fem.Function, target: Target, friction: bool, reach: float
+    ) -> None:
         self.points, self.target, self.friction, self.reach = points, target, friction, reach
         self.round_off = ROUND_OFF * reach
         self.touch = max(1e-12 * target.size, self.round_off)
