@@ -212,7 +212,7 @@ class ContactProblem:
 
         Forces below round-off count as none only where a whole Newton step has `corrected` the state: a load may be that
         small beside the stiffness of the body it acts on, and be much for a softer one which that body presses. Nor may a
-        piece that nothing holds along an axis have a resultant there.
+        piece that nothing holds along an axis have a resultant there, but for what round-off of positions makes of contact.
         """
         forces = [pair.nodal_forces() for pair in self.pairs]
         moving, reference = self.force_reference is not None, self.force_reference or 0.0
@@ -234,8 +234,7 @@ class ContactProblem:
 
     def _contact_round_off(self) -> Array:
         """(pieces,) what the round-off of positions makes of the contact forces on each (N)."""
-        forces = np.array([pair.force_round_off for pair in self.pairs])
-        return np.asarray(forces @ np.array(self._touched, dtype=float).reshape(-1, self.bodies.pieces))
+        return self._on_pieces([pair.force_round_off for pair in self.pairs])
 
     def _no_press(self) -> Array:
         """(pieces,) forces (N) below which contact does not press on a piece, and ties bear nothing."""
@@ -589,8 +588,11 @@ class ContactProblem:
 
     def _pressing(self) -> Array:
         """(pieces,) what pairs press on each piece with, balanced or not (N, collective)."""
-        pressed = np.array([pair.pressing() for pair in self.pairs])
-        return np.asarray(pressed @ np.array(self._touched, dtype=float).reshape(-1, self.bodies.pieces))
+        return self._on_pieces([pair.pressing() for pair in self.pairs])
+
+    def _on_pieces(self, values: Sequence[float]) -> Array:
+        """(pieces,) the sum over the pairs that touch each piece of one value per pair."""
+        return np.asarray(np.array(values) @ np.array(self._touched, dtype=float).reshape(-1, self.bodies.pieces))
 
     def _relative(self, motions: Array) -> list[Array]:
         """(n, motions, gdim) velocities of each pair's points relative to what they face that displacements (owned dofs,
