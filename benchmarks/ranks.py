@@ -29,6 +29,7 @@ sys.path += [str(ROOT), str(ROOT / "benchmarks")]
 from scaling import Row, build, press_and_drag
 
 from dolfinx_mortar_al import NewtonSolver
+from dolfinx_mortar_al.command_line import split
 from dolfinx_mortar_al.search import MARGIN, ray_candidates
 from dolfinx_mortar_al.targets import DeformableTarget
 
@@ -165,7 +166,7 @@ def main() -> None:
     parser.add_argument("--steps", nargs=2, type=int, default=(1, 2), help="of pressing and of dragging (%(default)s)")
     parser.add_argument("--timeout", type=int, default=3600, help="seconds after which a row ends (%(default)s)")
     parser.add_argument("--one", help=argparse.SUPPRESS)
-    args, options = parser.parse_known_args()
+    args, options = split(parser)
     if args.one:
         said = (answers if args.what == "answers" else shares)(Row(**json.loads(args.one)))
         if MPI.COMM_WORLD.rank == 0:

@@ -34,6 +34,7 @@ from mpi4py import MPI
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT))
 from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, materials, quasistatic
+from dolfinx_mortar_al.command_line import split
 
 LOWER, UPPER = (2.0, 1.5, 0.8), (1.0, 1.0, 0.5)  # sizes (m)
 CORNER = (0.35, 0.25, 0.8)  # of the upper block
@@ -213,7 +214,7 @@ def main() -> None:
         "--results", type=Path, default=ROOT / "results/scaling.jsonl", help="rows are added to this file"
     )
     parser.add_argument("--one", help=argparse.SUPPRESS)
-    args, options = parser.parse_known_args()
+    args, options = split(parser)
     if args.one:
         said = measure(Row(**json.loads(args.one)))
         if MPI.COMM_WORLD.rank == 0:

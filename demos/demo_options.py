@@ -1,9 +1,9 @@
-"""The options that all demos share: where results go, which of them, whether an interrupted run goes on, and PETSc's own."""
+"""The options that all demos share: where results go, which of them, whether an interrupted run goes on."""
 
 import argparse
 from pathlib import Path
 
-__all__ = ["add_options", "parse"]
+__all__ = ["add_options"]
 
 
 def add_options(parser: argparse.ArgumentParser, name: str, figure: int) -> None:
@@ -13,12 +13,3 @@ def add_options(parser: argparse.ArgumentParser, name: str, figure: int) -> None
     add("--no-figure", action="store_true", help=f"skip figure{figure}.png")
     add("--paraview", action="store_true", help="write .bp series")
     add("--checkpoint", action="store_true", help="save every step, and go on from the last one saved in the folder")
-
-
-def parse(parser: argparse.ArgumentParser) -> argparse.Namespace:
-    """The demo's options; those with one dash that it does not know, such as -contact_snes_monitor, are left to PETSc."""
-    args, rest = parser.parse_known_args()
-    unknown = [word for word in rest if word.startswith("--")]
-    if unknown:
-        parser.error(f"unknown option {', '.join(unknown)}; --help lists them")
-    return args

@@ -23,8 +23,9 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from demos.demo_options import add_options, parse
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, obstacles, output, quasistatic
+from dolfinx_mortar_al.command_line import parse
 from meshes.round_bodies import Round, RoundBodies
 
 RADIUS, E, NU = 0.1, 1e6, 0.3  # m, Pa

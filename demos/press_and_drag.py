@@ -21,8 +21,9 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from demos.demo_options import add_options, parse
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, output, quasistatic
+from dolfinx_mortar_al.command_line import parse
 from meshes.domed_box import BOTTOM, TOP, DomedBox
 
 PLATE, BLOCK = (2.0, 1.5, 0.8), (1.0, 1.0, 0.5)  # sizes (m)

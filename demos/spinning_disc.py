@@ -24,8 +24,9 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from demos.demo_options import add_options, parse
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, monitors, obstacles, output
+from dolfinx_mortar_al.command_line import parse
 from meshes.disc import RIM, Disc
 
 RADIUS, THICKNESS, DENSITY, MU, NU = 0.1, 0.02, 6000.0, 0.3, 0.333

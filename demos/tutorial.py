@@ -17,6 +17,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, output, quasistatic, reaction, read_msh
+from dolfinx_mortar_al.command_line import parse
 
 PLATE, FOOT, BASE, FACE, SOLE, HEAD = 1, 2, 11, 12, 13, 14  # physical groups: two volumes, four surfaces
 COLUMNS = ["path", "drag", "press", "closed", "stick", "newton_iterations", "wall_time"]  # of history.csv
@@ -127,5 +128,5 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("results/tutorial"), help="folder (%(default)s)")
     parser.add_argument("--size", type=float, default=0.004, help="of the foot's elements in m (%(default)s)")
-    args = parser.parse_known_args()[0]  # the rest are PETSc options
+    args = parse(parser)
     main(args.output, args.size)

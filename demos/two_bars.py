@@ -21,8 +21,9 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from demos.demo_options import add_options, parse
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, output
+from dolfinx_mortar_al.command_line import parse
 from exact.two_bars import TwoBars as Exact
 from meshes.two_bars import BAR1, BAR2, FACE1, FACE2, TwoBars
 

@@ -20,8 +20,9 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from demos.demo_options import add_options, parse
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, loads, materials, output, quasistatic
+from dolfinx_mortar_al.command_line import parse
 from meshes.two_beams import CLAMP, LOWER_TOP, TIP, UPPER, UPPER_BOTTOM, TwoBeams
 
 COLUMNS = [

@@ -21,8 +21,9 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from demos.demo_options import add_options, parse
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, loads, membrane, monitors, output, quasistatic
+from dolfinx_mortar_al.command_line import parse
 from exact.two_membranes import TwoMembranes as Exact
 from meshes.two_membranes import EDGE, LOWER, UPPER, TwoMembranes
 

@@ -26,8 +26,9 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from demos.demo_options import add_options, parse
+from demos.demo_options import add_options
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, output
+from dolfinx_mortar_al.command_line import parse
 from meshes.round_bodies import Round, RoundBodies
 
 RADIUS, BORE, DENSITY, E, NU = 0.1, 0.07, 1000.0, 1e6, 0.3

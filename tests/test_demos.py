@@ -1,5 +1,6 @@
 """Each demo runs, with a number to hold it to."""
 
+import argparse
 import importlib.util
 import json
 import sys
@@ -12,7 +13,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from scenes import marked
 
-from dolfinx_mortar_al import read_msh
+from dolfinx_mortar_al import command_line, read_msh
 from meshes.gmsh_session import distribute
 from meshes.two_bars import TwoBars
 from meshes.two_beams import TwoBeams
@@ -111,13 +112,29 @@ def test_two_rings_keep_momenta_and_energy(monkeypatch, shared_path):
         assert (shared_path / "figure5.png").stat().st_size > 10_000
 
 
-def test_a_mistyped_option_is_refused_and_petscs_own_are_not(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["two_rings.py", "-contact_snes_monitor", "--frictoin", "0.1"])
+@pytest.mark.parametrize(
+    ("words", "unknown"),
+    [
+        (["-contact_snes_monitor", "--frictoin", "0.1"], "--frictoin, 0.1"),
+        (["--cells", "40", "4", "4"], "4"),
+        (["-contact_ksp_rtol", "1e-8", "2"], "2"),
+    ],
+)
+def test_what_is_neither_an_option_nor_petscs_is_refused(monkeypatch, capsys, words, unknown):
+    monkeypatch.setattr(sys, "argv", ["two_beams.py", *words])
     with pytest.raises(SystemExit):
-        two_rings.options()
-    assert "unknown option --frictoin" in capsys.readouterr().err
-    monkeypatch.setattr(sys, "argv", ["two_rings.py", "-contact_snes_monitor", "--friction", "0.1"])
-    assert two_rings.options().friction == 0.1
+        two_beams.options()
+    assert f"unknown: {unknown};" in capsys.readouterr().err
+
+
+def test_petscs_options_are_left_to_it():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--friction", type=float)
+    words = ["-contact_snes_monitor", "--friction", "0.1", "-contact_ksp_rtol", "1e-8", "-contact_shift", "-1"]
+    args, rest = command_line.split(parser, words)
+    assert args.friction == 0.1
+    assert rest == ["-contact_snes_monitor", "-contact_ksp_rtol", "1e-8", "-contact_shift", "-1"]
+    assert command_line.split(parser, [])[1] == []
 
 
 def test_a_mesh_file_of_ones_own(shared_path):

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
 
+from dolfinx_mortar_al.command_line import parse
 from dolfinx_mortar_al.verify import report
 from dolfinx_mortar_al.verify.case import CASES, Row, is_root, rows
 
@@ -39,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> list[Row]:
         help=f"only this one, may be repeated: {', '.join(ORDER)}",
     )
     add("--report", type=Path, metavar="FOLDER", help="write FOLDER/verification.md and its pictures")
-    args = parser.parse_known_args(arguments)[0]  # the rest are PETSc options
+    args = parse(parser, arguments)
     names = args.case or [name for name in ORDER if CASES[name].quick or not args.quick]
     done, lines = {}, []
     for name in names:
