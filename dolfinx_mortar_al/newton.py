@@ -299,7 +299,7 @@ class NewtonSolver:
         returns = pattern in self._patterns[:-1] and pattern != self._patterns[-1] and self._no_nearer(pattern)
         if not returns and self._stands_still(pattern) and self._held_back >= HELD_BACK:
             self.result.message = (
-                f"each step would leave an inverted cell (det F ≤ 0), however short{self._worst_place()}"
+                f"each step would leave an inverted cell (det F ≤ 0), however short; forces{self._worst_place()[1:]}"
             )
             return _Reason.DIVERGED_LOCAL_MIN
         if returns or self._stands_still(pattern):
@@ -490,8 +490,9 @@ class NewtonSolver:
         return f"{why} after {self.result.iterations} iterations: {open_blocks}{self._worst_place()}"
 
     def _worst_place(self) -> str:
-        """Where the forces are farthest from equilibrium (collective)."""
-        _, X = self.problem.bodies.farthest(self.snes.getFunction()[0].getNestSubVecs()[0].array_r)
+        """Where the forces on what may move are farthest from equilibrium (collective)."""
+        bodies, forces = self.problem.bodies, self.snes.getFunction()[0].getNestSubVecs()[0].array_r
+        _, X = bodies.farthest(np.where(bodies.prescribed(), 0.0, forces))
         return f", worst at X = ({', '.join(f'{x:.4g}' for x in X)})"
 
     def _nearest_is_unstable(self) -> bool:
