@@ -1,5 +1,6 @@
 """Bad input: one clear message, the same on every rank, never a hang."""
 
+import re
 import subprocess
 import sys
 import warnings
@@ -590,6 +591,15 @@ def test_petsc_options_come_from_the_command_line(monkeypatch):
     solver = NewtonSolver(problem, prefix="other_")
     assert solver.snes.getTolerances()[3] == 80
     assert solver.solve().converged
+
+
+def test_what_is_worst_is_not_what_is_prescribed(monkeypatch):
+    """Very soft beams whose clamp has a millimetre to go: its rows are no forces, and larger than those beside it."""
+    problem, _ = beams(young=1e-6)
+    problem.bodies.bodies[0].bcs[0].g.value[:] = 1e-3
+    monkeypatch.setattr(sys, "argv", ["script", "-worst_snes_max_it", "0"])
+    message = NewtonSolver(problem, prefix="worst_").solve().message
+    assert float(re.search(r"worst at X = \(([^,]+),", message)[1]) > 0.04
 
 
 def squares():
