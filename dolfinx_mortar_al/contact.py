@@ -619,7 +619,7 @@ class ContactPair(PairFindings):
         """Integrate at these points from now on."""
         origin = self.integration.nearest(points.facet, points.η)
         self.integration = points
-        self.kinematics.offset = self.kinematics.offset[origin]
+        self.kinematics.offset, self.kinematics.unspent = self.kinematics.offset[origin], self.kinematics.unspent[origin]
         before = self._converged
         assert isinstance(before.place, np.ndarray)  # a rigid target has no segments
         self.kinematics.take(points, before.nodes, before.place)
@@ -736,7 +736,10 @@ class ContactPair(PairFindings):
         see of it, which acts on at each point by ε_T: forgotten in each step, it would let stuck points creep."""
         self._committed = self.integration, self.state, self.kinematics.s
         law = self.law
-        unspent = law.unspent(self.state, self.kinematics.at) if isinstance(law, Coulomb) else None
+        unspent = None
+        if isinstance(law, Coulomb):
+            of = law.tangential_residual if isinstance(self.kinematics, StepLevel) else law.unspent
+            unspent = of(self.state, self.kinematics.at)
         self.kinematics.commit(unspent, self.state.status == STICK)
         if isinstance(self.kinematics, StepLevel):
             self.kinematics.excuse(*self._decided())
@@ -774,6 +777,7 @@ class ContactPair(PairFindings):
         if self.segments is None:
             arrays |= {"λN_hat": self._expected(), "facet": history.facet.copy(), "η": history.η.copy()}
             arrays |= {"ρ": self.kinematics.ρ.copy(), "offset": self.kinematics.offset.copy()}
+            arrays |= {"unspent": self.kinematics.unspent.copy()}
         else:  # in statics no array may depend on where the segments are
             arrays |= self._state_at_points()
         before = self._converged
@@ -802,7 +806,7 @@ class ContactPair(PairFindings):
         if self.segments is None:
             point = TargetPoint(saved["facet"].astype(np.int64), saved["η"].copy())
             self.kinematics.set_history(point, saved["ρ"].copy())
-            self.kinematics.offset = saved["offset"].copy()
+            self.kinematics.offset, self.kinematics.unspent = saved["offset"].copy(), saved["unspent"].copy()
         else:
             self.target.refresh()
             self.segments.forget()
@@ -812,6 +816,7 @@ class ContactPair(PairFindings):
                 self._adopt(IntegrationPoints(self.facets, facet, η, weight, self.thickness))
                 λN_hat = saved["points_λN_hat"]
                 self.kinematics.offset = saved["points_offset"].copy()
+                self.kinematics.unspent = saved["points_unspent"].copy()
             else:
                 self.follow_segments()
                 λN_hat = λN_hat[self.gauss.nearest(self.integration.facet, self.integration.η)]
@@ -833,6 +838,7 @@ class ContactPair(PairFindings):
             "points_weight": points.weight[:k].copy(),
             "points_λN_hat": self._expected()[:k],
             "points_offset": self.kinematics.offset[:k].copy(),
+            "points_unspent": self.kinematics.unspent[:k].copy(),
         }
 
     def _expected(self) -> Array:

@@ -64,12 +64,13 @@ class Step(stepping.Step):
 @dataclass(frozen=True)
 class _Work:
     """What contact does in a step (J): on the bodies along the normal and along the surface, what obstacles put in, and what
-    is lost for good along the normal."""
+    is lost for good along the normal and by friction."""
 
     normal: float
     tangential: float
     by_obstacles: float
     lost: float
+    rubbed: float
 
 
 def march(
@@ -256,12 +257,17 @@ class _TimeControl(Controller[Step]):
         momenta = np.sum([motion.momenta() for motion in self.motions], axis=0)
         d = self.problem.gdim
         momentum, spin = tuple(momenta[:d].tolist()), tuple(momenta[d:].tolist())
-        stored = sum(pair.stored_energy() for pair in self.problem.pairs)
+        along_normal, held = self._stored()
         return replace(
-            ledger, kinetic=float(energies[0]), strain=float(energies[1]), contact=stored, momentum=momentum,
-            angular_momentum=spin,
+            ledger, kinetic=float(energies[0]), strain=float(energies[1]), contact=along_normal + held, held=held,
+            momentum=momentum, angular_momentum=spin,
             known="; ".join(dict.fromkeys(motion.known for motion in self.motions)),
         )  # fmt: skip
+
+    def _stored(self) -> tuple[float, float]:
+        """What augmentation stores along the normal and by friction (J)."""
+        pairs = self.problem.pairs
+        return sum(pair.stored_energy() for pair in pairs), sum(pair.stored_by_friction() for pair in pairs)
 
     def _solve(self, time: float, Δt: float) -> Attempt:
         """Solve for the state at time + Δt, and judge it."""
@@ -300,7 +306,7 @@ class _TimeControl(Controller[Step]):
         self._work = self._contact_work()
         reasons = [str(f) for f in findings if f.fatal]
         allowed = GAIN * max(self.ledger.total + self.ledger.impact_loss + self.ledger.friction_dissipation, 0.0)
-        gain = max(-self._work.lost, self._work.tangential)
+        gain = max(-self._work.lost, -self._work.rubbed)
         if gain > allowed:
             reasons.append(f"contact would give {gain:.3g} J to the bodies in this step; take a smaller one")
         for pair, level in zip(self.problem.pairs, self.levels, strict=True):
@@ -315,14 +321,15 @@ class _TimeControl(Controller[Step]):
         return reasons
 
     def _contact_work(self) -> _Work:
-        problem, stored = self.problem, 0.0
+        problem = self.problem
         sums = np.zeros(3)
         for level, pair in zip(self.levels, problem.pairs, strict=True):
             done = level.work(pair.state, pair.j)
             sums += sum_over(problem.comm, np.array([done.normal, done.tangential, done.by_obstacle]))
-            stored += pair.stored_energy()
         normal, tangential, by_obstacles = sums.tolist()
-        return _Work(normal, tangential, by_obstacles, self.ledger.contact - stored - normal)
+        along_normal, held = self._stored()
+        lost = self.ledger.contact - self.ledger.held - along_normal - normal
+        return _Work(normal, tangential, by_obstacles, lost, self.ledger.held - held - tangential)
 
     def _local_error(self, Δt: float) -> float:
         """What the mid-point rule leaves out in this step, Δt³ 𝐮‴/12 (m): the root mean square over the components of each
@@ -357,12 +364,12 @@ class _TimeControl(Controller[Step]):
         )
         for motion in self.motions:
             motion.accept()
-        settled = self._projection.apply(Δt, -done.tangential)
+        settled = self._projection.apply(Δt, done.rubbed)
         self._forces = tuple(pair.force() + i / Δt for pair, i in zip(problem.pairs, settled.impulses, strict=True))
         problem.commit()
         now = self._with_state(last)
         work, loss = work + settled.by_obstacles + settled.by_supports, done.lost + settled.lost
-        friction = settled.friction - done.tangential
+        friction = settled.friction + done.rubbed
         self._next_ledger = replace(
             now,
             external_work=last.external_work + work,

@@ -65,6 +65,7 @@ class Kinematics(ABC):
         ρ: (n, gdim) 𝐱 − φ₂(Y_{n−1}) of step n − 1 in the target's frame there (`carried.py`), 0 where it is not needed.
         offset: (n,) depth from which the law counts a point's penetration (m): that at which a time step brought it into
             sight (`step_level.py`), infinite where it takes no part; zero in statics.
+        unspent: (n, gdim − 1) slip that a time step has left to the next (m), `step_level.py`; zero in statics.
     """
 
     x: Array
@@ -80,6 +81,7 @@ class Kinematics(ABC):
         self.touch = max(1e-12 * target.size, self.round_off)
         self._u = u
         self.offset: Array = np.zeros(points.size)
+        self.unspent: Array = np.zeros((points.size, points.facets.X.shape[2] - 1))
         self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros((points.size, points.η.shape[1])))
         self.ρ: Array = np.zeros((points.size, points.facets.X.shape[2]))
 

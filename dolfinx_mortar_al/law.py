@@ -177,8 +177,11 @@ class Coulomb:
         """(n, gdim) the slip (f_T − λ_T)/ε_T that has not become sliding: with it a point's friction is the same again in a
         step in which nothing moves. It is the tangential part of r, whose mean with each multiplier's shape function is
         zero; open points have none."""
-        r = state.r - at.ν * _dot(at.ν, state.r)[:, None]
-        return np.where((state.status == OPEN)[:, None], 0.0, r)
+        return np.where((state.status == OPEN)[:, None], 0.0, self.tangential_residual(state, at))
+
+    def tangential_residual(self, state: LawState, at: Projection) -> Array:
+        """(n, gdim) (f_T − λ_T)/ε_T in metres, −λ_T/ε_T at open points."""
+        return np.asarray(state.r - at.ν * _dot(at.ν, state.r)[:, None])
 
     def open_slope(self, ν: Array) -> Array:
         """(n, gdim, gdim) δr of open points, times δΛ, where ν (n, gdim) is held."""

@@ -13,7 +13,7 @@ class Ledger:
 
     kinetic + strain + contact = initial energy + external_work − friction_dissipation − impact_loss + energy_defect, where
     `contact` is what the augmentation stores at the edges of contact (:meth:`ContactPair.stored_energy`), a share of
-    1e-4 and less; impact_loss and friction_dissipation never fall. `known` says where `strain` comes from: a stored
+    1e-4 and less, `held` of it by friction (:meth:`ContactPair.stored_by_friction`); impact_loss and friction_dissipation never fall. `known` says where `strain` comes from: a stored
     energy, or the internal work done since the start, where a body has no stored energy (`internal_work.py`). The
     external work is that of loads, of obstacles and of supports that move.
     """
@@ -21,6 +21,7 @@ class Ledger:
     kinetic: float
     strain: float
     contact: float = 0.0
+    held: float = 0.0
     external_work: float = 0.0
     friction_dissipation: float = 0.0
     impact_loss: float = 0.0

@@ -102,6 +102,15 @@ class PairResults:
         density = (p**2 - self._normal_multiplier() ** 2) / (2 * self.epsilon.normal)
         return sum_over(self.comm, float(self.j @ density))
 
+    def stored_by_friction(self) -> float:
+        """∫ (f² − λ_T²)/(2ε_T) dS₀ (J), collective: the same of friction, the potential of stuck points' tractions."""
+        if self._Λ.shape[1] == 1:
+            return 0.0
+        ν = self.at.ν
+        f, λT = (v - ν * np.einsum("ni,ni->n", ν, v)[:, None] for v in (self.state.t, self._Λ))
+        density = np.einsum("ni,ni->n", f, f) - np.einsum("ni,ni->n", λT, λT)
+        return sum_over(self.comm, float(self.j @ density) / (2 * self.epsilon.tangential))
+
     def _normal_multiplier(self) -> Array:
         """(n,) λ_N at the points (Pa)."""
         return self._Λ[:, 0] if self._Λ.shape[1] == 1 else np.asarray(np.einsum("ni,ni->n", self._Λ, self.at.ν))

@@ -85,7 +85,7 @@ class StepLevel(Kinematics):
     def __init__(self, before: Kinematics) -> None:
         super().__init__(before.points, before._u, before.target, before.friction, before.reach)
         self.x, self.at, self.s, self.may_close = before.x, before.at, before.s, before.may_close
-        self.offset = before.offset
+        self.offset, self.unspent = before.offset, before.unspent
         self.set_history(before.history)
         self.end = self.pair = self.at
         self._place: Place | None = None
@@ -139,7 +139,11 @@ class StepLevel(Kinematics):
         self.set_history(self.end.point)
 
     def commit(self, unspent: Array | None = None, stuck: Bool | None = None) -> None:
-        """The slip is that within a step: none goes on from one to the next."""
+        """The next step begins here. Of the slip goes on what has not become sliding, for the multipliers of the nodes do not
+        see all of it: where a facet is partly closed stuck points would creep if each step forgot it."""
+        if unspent is not None:
+            self.unspent = np.einsum("nai,ni->na", _axes(self.at.ν, self._now.tangents), unspent)
+        self._remember()
 
     def _project(self) -> None:
         """What the points face now, if anything has moved since the last time."""
@@ -209,7 +213,8 @@ class StepLevel(Kinematics):
         self.may_close = self.end.facing & pair.facing & admitted & ~late & np.isfinite(self.offset)
         g = self.end.g - self.offset
         self.at = Projection(pair.point, self.may_close, pair.N, pair.dN, pair.y, pair.a, ν, g)
-        self.s = self._w if self.friction else None
+        if self.friction:
+            self.s = self._w + np.einsum("nai,na->ni", _axes(ν, self._a0), self.unspent)
         self._κ = np.where(same & self.may_close, -miss / self._q, 0.0)
         self._c = m - ν + self._κ[:, None] * self._w
 
@@ -276,7 +281,7 @@ class StepLevel(Kinematics):
             δw = δw - lever.carry_map(δa) - lever.vary_carry(self._Δa[act], varied)
         δg = vary_gap(self.end.take(act), slots, "w_e")
         δ = Variation(np.zeros((n, 0, z)), δg, np.zeros((n, d, z)), slots.multiplier_slot()[None], δw)
-        δt, δresidual = law.linearise(state, Λ, at, None if self.s is None else w, δ)
+        δt, δresidual = law.linearise(state, Λ, at, None if self.s is None else self.s[act], δ)
         δp = np.einsum("ni,niz->nz", at.ν, δt)
         turn = np.einsum("ni,niz->nz", w, δw)
         on = (κ != 0.0)[:, None]
@@ -347,3 +352,12 @@ class StepLevel(Kinematics):
         normals, moved = self.at.ν.copy(), ((P + νν) @ swept[:, :, None])[:, :, 0]
         normals[act] = end.ν
         return Rates(act, end.point.facet, G, H, B, np.eye(d) - P - νν, normals, moved, swept)
+
+
+def _axes(ν: Array, a: Array) -> Array:
+    """(n, gdim − 1, gdim) orthonormal axes across ν (n, gdim), the first as near to a facet's first tangent (n, dim, gdim) as may
+    be: vectors with the same components in them turn with the facet and keep their length."""
+    first = a[:, 0] - ν * dot(ν, a[:, 0])[:, None]
+    size = np.linalg.norm(first, axis=1, keepdims=True)
+    first = first / np.where(size > 0.0, size, 1.0)
+    return first[:, None] if ν.shape[1] == 2 else np.stack([first, np.cross(ν, first)], axis=1)

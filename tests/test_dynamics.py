@@ -182,6 +182,35 @@ def test_supports_that_move_do_work(gap, friction):
     assert abs(ledger.energy_defect) < 1e-10 * ledger.external_work
 
 
+@pytest.mark.parametrize("step", [1e-2, 1e-3])
+def test_what_sticks_holds_its_force(step):
+    """A round bottom that sticks to a floor which is pressed in, shifted and stopped: friction stays what it is, and loses
+    nothing. Where a facet is closed in part its multipliers do not bear all of it, and while what they leave was forgotten
+    in each step the force was gone after five to ten, whatever their length."""
+    faces = {(1, -1): 1, (1, 0): 2}
+    axes = [np.linspace(0, 1, 5), np.linspace(0, 0.5, 3)]
+    domain, _, tags = build(
+        [grid(axes, faces, place=lambda x: x + np.c_[0 * x[:, 0], (1 - 2 * x[:, 1]) * (x[:, 0] - 0.45) ** 2])]
+    )
+    V, u = space(domain, 2)
+    bc = fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, tags.find(1)), V)
+    motion = dynamics.Motion(u, materials.neo_hookean(1e4, 0.3), density=1e-3, step=step)
+    floor = obstacles.RigidPlane([0.0, 0.0], [0.0, 1.0])
+    problem = ContactProblem(motion, bcs=[bc], contacts=[Contact(Surface(domain, tags, 2), floor, friction=2.0)])
+
+    def shift(t: float) -> None:
+        floor.move([2e-3 * np.clip(t / step / 10 - 1, 0, 1), 5e-3 * np.clip(t / step / 10, 0, 1)])
+
+    forces, lost = [], []
+    for done in dynamics.march(problem, to=60 * step, move=shift):
+        motion.velocity.x.array[:] = 0.0
+        forces.append(done.forces[0][0])
+        lost.append(done.ledger.friction_dissipation)
+    assert problem.pairs[0].stick_fraction() == problem.pairs[0].closed_fraction()
+    assert forces[-1] == pytest.approx(forces[24], rel=0.01)
+    assert lost[-1] - lost[24] < 1e-3 * 2e-3 * abs(forces[-1])
+
+
 def test_the_step_adapts_and_meets_the_asked_for_times():
     problem, motion = disc(velocity=lambda x: np.stack([1 + 0 * x[0], -3 + 0 * x[0]]))
     energy, calls = sum(motion.energies()), []
