@@ -23,7 +23,7 @@ from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.corners import SharpCorners
 from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, degrees_on, segment_degree
 from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
-from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, Coulomb, Frictionless, LawState, augmented_normal
+from dolfinx_mortar_al.law import OPEN, Augmentation, Coulomb, Frictionless, LawState, augmented_normal
 from dolfinx_mortar_al.monitors import Finding, ModelWarning
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
@@ -462,7 +462,7 @@ class ContactPair(PairFindings):
         self.follow_segments()
         k.set_history(self.target.closest(k.positions()).point)
         k.evaluate()
-        k.commit()
+        k.commit(None, np.full(k.points.size, OPEN, dtype=np.int8))
         self._divide()
         self.active.closed = self.touches()
         self.active.begin(self._converged.closed[self.integration.facet])
@@ -619,7 +619,8 @@ class ContactPair(PairFindings):
         """Integrate at these points from now on."""
         origin = self.integration.nearest(points.facet, points.η)
         self.integration = points
-        self.kinematics.offset, self.kinematics.unspent = self.kinematics.offset[origin], self.kinematics.unspent[origin]
+        for name in ("offset", "unspent"):
+            setattr(self.kinematics, name, getattr(self.kinematics, name)[origin])
         before = self._converged
         assert isinstance(before.place, np.ndarray)  # a rigid target has no segments
         self.kinematics.take(points, before.nodes, before.place)
@@ -736,11 +737,8 @@ class ContactPair(PairFindings):
         see of it, which acts on at each point by ε_T: forgotten in each step, it would let stuck points creep."""
         self._committed = self.integration, self.state, self.kinematics.s
         law = self.law
-        unspent = None
-        if isinstance(law, Coulomb):
-            of = law.tangential_residual if isinstance(self.kinematics, StepLevel) else law.unspent
-            unspent = of(self.state, self.kinematics.at)
-        self.kinematics.commit(unspent, self.state.status == STICK)
+        unspent = law.unspent(self.state, self.kinematics.at) if isinstance(law, Coulomb) else None
+        self.kinematics.commit(unspent, self.state.status)
         if isinstance(self.kinematics, StepLevel):
             self.kinematics.excuse(*self._decided())
         self._remember()

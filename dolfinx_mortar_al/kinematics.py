@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.carried import carried, components, vary_carried
 from dolfinx_mortar_al.integration import IntegrationPoints
-from dolfinx_mortar_al.law import Coulomb, Frictionless, LawState
+from dolfinx_mortar_al.law import OPEN, STICK, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot
 from dolfinx_mortar_al.targets import ContactorPoints, Target
 from dolfinx_mortar_al.variation import Slots, vary
@@ -177,19 +177,22 @@ class Kinematics(ABC):
         else:
             self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros_like(points.η))
 
-    def commit(self, unspent: Array | None = None, stuck: Bool | None = None) -> None:
-        """The step has converged: Y_{n−1} ← Y, from which the slip (n, gdim) that is `unspent` (m) goes on; points that are
-        `stuck` (n,) keep the Y from which they stick, so that nothing adds up however often they are moved to and fro."""
+    def commit(self, unspent: Array | None, status: NDArray[np.int8]) -> None:
+        """The step has converged: Y_{n−1} ← Y, from which the slip (n, gdim) that is `unspent` (m) goes on where points are
+        closed; those that stick, by `status` (n,), keep the Y from which they do, so that nothing adds up however often they
+        are moved to and fro."""
+        if unspent is not None:
+            unspent = np.where((status == OPEN)[:, None], 0.0, unspent)
         point = self.faced.point.copy()
         lost = np.flatnonzero(~self.faced.facing)
         if self.friction and len(lost):  # the slip of what comes back is counted from the nearest point
             near = self.target.closest(self.x[lost]).point
             point.facet[lost], point.η[lost] = near.facet, near.η
         ρ = self.apart(point, self.faced.facing, self.x, self.target.nodes, unspent)
-        if stuck is not None:
-            point.facet[stuck], point.η[stuck] = self.history.facet[stuck], self.history.η[stuck]
-            if ρ is not None:
-                ρ[stuck] = self.ρ[stuck]
+        stuck = status == STICK
+        point.facet[stuck], point.η[stuck] = self.history.facet[stuck], self.history.η[stuck]
+        if ρ is not None:
+            ρ[stuck] = self.ρ[stuck]
         self.set_history(point, ρ)
 
     def apart(

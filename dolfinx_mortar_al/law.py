@@ -174,13 +174,9 @@ class Coulomb:
         return LawState(status, λN_hat, p, p[:, None] * ν - f, r, λT_hat, bound, slope)
 
     def unspent(self, state: LawState, at: Projection) -> Array:
-        """(n, gdim) the slip (f_T − λ_T)/ε_T that has not become sliding: with it a point's friction is the same again in a
-        step in which nothing moves. It is the tangential part of r, whose mean with each multiplier's shape function is
-        zero; open points have none."""
-        return np.where((state.status == OPEN)[:, None], 0.0, self.tangential_residual(state, at))
-
-    def tangential_residual(self, state: LawState, at: Projection) -> Array:
-        """(n, gdim) (f_T − λ_T)/ε_T in metres, −λ_T/ε_T at open points."""
+        """(n, gdim) the slip (f_T − λ_T)/ε_T that has not become sliding, −λ_T/ε_T at open points: with it a point's friction
+        is the same again in a step in which nothing moves. It is the tangential part of r, whose mean with each multiplier's
+        shape function is zero."""
         return np.asarray(state.r - at.ν * _dot(at.ν, state.r)[:, None])
 
     def open_slope(self, ν: Array) -> Array:

@@ -12,10 +12,10 @@ class Ledger:
     """Energies (J) and momenta at a time; what is not of the moment has been added up since the start.
 
     kinetic + strain + contact = initial energy + external_work − friction_dissipation − impact_loss + energy_defect, where
-    `contact` is what the augmentation stores at the edges of contact (:meth:`ContactPair.stored_energy`), a share of
-    1e-4 and less, `held` of it by friction (:meth:`ContactPair.stored_by_friction`); impact_loss and friction_dissipation never fall. `known` says where `strain` comes from: a stored
-    energy, or the internal work done since the start, where a body has no stored energy (`internal_work.py`). The
-    external work is that of loads, of obstacles and of supports that move.
+    `contact` is what the augmentation stores at the edges of contact, a share of 1e-4 and less, `held` of it by friction
+    (:meth:`ContactPair.stored_energy`, :meth:`ContactPair.stored_by_friction`); impact_loss and friction_dissipation never
+    fall. `known` says where `strain` comes from: a stored energy, or the internal work done since the start, where a body has
+    no stored energy (`internal_work.py`). The external work is that of loads, of obstacles and of supports that move.
     """
 
     kinetic: float

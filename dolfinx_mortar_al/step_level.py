@@ -138,7 +138,7 @@ class StepLevel(Kinematics):
         self.begin()
         self.set_history(self.end.point)
 
-    def commit(self, unspent: Array | None = None, stuck: Bool | None = None) -> None:
+    def commit(self, unspent: Array | None, status: NDArray[np.int8]) -> None:
         """The next step begins here. Of the slip goes on what has not become sliding, for the multipliers of the nodes do not
         see all of it: where a facet is partly closed stuck points would creep if each step forgot it."""
         if unspent is not None:
@@ -355,8 +355,8 @@ class StepLevel(Kinematics):
 
 
 def _axes(ν: Array, a: Array) -> Array:
-    """(n, gdim − 1, gdim) orthonormal axes across ν (n, gdim), the first as near to a facet's first tangent (n, dim, gdim) as may
-    be: vectors with the same components in them turn with the facet and keep their length."""
+    """(n, gdim − 1, gdim) orthonormal axes across ν (n, gdim), the first as near as may be to the first tangent of `a`
+    (n, dim, gdim): vectors with the same components in them turn with the facet and keep their length."""
     first = a[:, 0] - ν * dot(ν, a[:, 0])[:, None]
     size = np.linalg.norm(first, axis=1, keepdims=True)
     first = first / np.where(size > 0.0, size, 1.0)
