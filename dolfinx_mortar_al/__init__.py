@@ -37,4 +37,4 @@ __all__ = [
 monitors.show_warnings()
 end_together()
 share_out_alike()
-gc.freeze()  # what imports have left stays: walked through again and again it took a tenth of small scenes' time
+gc.freeze()  # what imports leave lives as long as the program: no need to walk through it again and again
