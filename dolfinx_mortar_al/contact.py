@@ -23,7 +23,7 @@ from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.corners import SharpCorners
 from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, degrees_on, segment_degree
 from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
-from dolfinx_mortar_al.law import OPEN, Augmentation, Coulomb, Frictionless, LawState, augmented_normal
+from dolfinx_mortar_al.law import OPEN, SLIP, Augmentation, Coulomb, Frictionless, LawState, augmented_normal
 from dolfinx_mortar_al.monitors import Finding, ModelWarning
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
@@ -685,6 +685,15 @@ class ContactPair(PairFindings):
         moved = self.target.positions(k.at.point, k.at.N) - k.at.y
         size = np.linalg.norm(k.positions() - k.x - moved, axis=1)[self.state.status != OPEN]
         return max_over(self.comm, float(size.max(initial=0.0))) / self.target.size
+
+    def slid(self) -> Array:
+        """(n, gdim) how far points have slid over the target in this step (m); 0 where they stick or are open."""
+        state, ε = self.state, self.law.ε
+        if state.λT_hat is None or state.bound is None:
+            return np.zeros_like(self.at.ν)
+        size = np.maximum(np.linalg.norm(state.λT_hat, axis=1), 1e-300)
+        beyond = np.where(state.status == SLIP, 1.0 - state.bound / size, 0.0)
+        return np.asarray(beyond[:, None] * state.λT_hat / ε.tangential)
 
     def apart(self) -> Array:
         """(n, gdim) 𝐱 − 𝐲 at the present displacements (m), 𝐲 the point of the target that was faced at the last evaluation

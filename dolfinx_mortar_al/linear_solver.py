@@ -253,7 +253,7 @@ class LinearSolver:
                 self._ties.append(z)
             u = [z.getNestSubVecs()[0].array_r for z in self._ties]
             flexibility = np.stack([ties.times(v) for v in u], axis=1)
-            self._inner = np.linalg.inv(np.diag(1.0 / ties.stiffness) + flexibility)
+            self._inner = np.linalg.inv(np.eye(len(ties.motions)) / ties.softness + flexibility)
         amount = self._inner @ ties.times(y.getNestSubVecs()[0].array_r)
         for a, z in zip(amount, self._ties, strict=True):
             y.axpy(-float(a), z)

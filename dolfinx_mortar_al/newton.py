@@ -21,7 +21,7 @@ from dolfinx_mortar_al.places import Places
 from dolfinx_mortar_al.problem import ContactProblem, check_problem
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import sum_over
-from dolfinx_mortar_al.ties import Bearing
+from dolfinx_mortar_al.ties import PUSHED
 from dolfinx_mortar_al.validation import number, whole
 
 __all__ = ["NewtonResult", "NewtonSolver", "Path"]
@@ -43,7 +43,6 @@ HELD_BACK = 3  # iterations in a row that stand still where cells would be inver
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
 WANDERS_AFTER = 8  # iterations without progress after which friction bounds are frozen,
 SETTLED = 3  # if in so many of them, the last, no point has opened or closed
-PUSHED = 0.01  # of the contact forces: what loads push with must be resisted by more than a tie
 PUSHED_ALONG = 1e-3  # the same along surfaces with friction: a tie is not to bear what friction does not
 SLIDES = 0.1  # of the contact forces: what is left of a coarse mesh's pressures along a slide is less
 MAX_MOVES = 20  # places that a sliding piece is tied to in a solve
@@ -354,47 +353,43 @@ class NewtonSolver:
 
     def _slides(self, iteration: int) -> bool:
         """A state has converged with pieces tied to where they were: tie them to where they are, or farther on, until
-        something resists the slide and the ties bear nothing, or until they bear the same as before and no load pushes them.
-        Whether there was anything to change."""
+        something resists the slide and the ties bear nothing, or until they bear the same as before and neither a load pushes
+        them nor friction drags them. Whether there was anything to change."""
         p, ties, places = self.problem, self.problem.ties, self._places
         if ties is None or not ties.acts:
             return False
         bear = p.ties_bear()
+        driven = bear.pushed > np.where(bear.rubs, PUSHED_ALONG, PUSHED)
+        # an error of the mesh, but nothing that a load pushes with and friction does not bear
+        bearable = np.where(driven, np.where(bear.rubs, self.rtol, PUSHED), SLIDES)
 
         def length(forces: NDArray[np.float64]) -> float:
             return p.longest_motion(ties.motion(forces))
 
-        resisted = places.resist(bear, length)
-        if float(bear.borne.max()) <= self.rtol or (not resisted and np.all(bear.borne <= self._bearable(bear))):
+        resisted, little = places.resist(bear, length), bool(np.all(bear.borne <= bearable))
+        on = places.follow(bear, bear.rubs & ~driven, p.dragged, length, first=resisted) if little else None
+        if float(bear.borne.max()) <= self.rtol or (on is None and not resisted and little):
             ties.borne = bear.borne
             return False
-        if not resisted:
-            self._let_be(bear)
-        on = places.onwards(bear, resisted, length)
+        if not resisted:  # what one side alone presses on is pushed away from it, along its surface
+            ties.let_be |= bear.alone & bear.rubs
+        softer = (
+            on is None
+            and (not resisted or ties.softness < 1.0)
+            and bool(np.any((bear.pushed > PUSHED) & (bear.pushed < 1.0) & (bear.borne > bearable)))
+        )
+        if softer:
+            places.forget()
+            on = bear.along
+        elif on is None:
+            on = places.onwards(bear, resisted, length)
         if iteration > 0:
             p.measure_ties(self.linear.response)
-        if p.move_ties(self.snes.getFunction()[0], bear.along - on):
+        if p.move_ties(self.snes.getFunction()[0], bear.along - on, softer=softer):
             places.forget()
         self._moves += 1
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         return True
-
-    def _bearable(self, bear: Bearing) -> NDArray[np.float64]:
-        """(pieces,) what ties may bear, as a share of the contact forces: an error of the mesh, but nothing that a load
-        pushes with and friction does not bear."""
-        resisted = np.where(bear.rubs, self.rtol, PUSHED)
-        return np.where(bear.pushed <= np.where(bear.rubs, PUSHED_ALONG, PUSHED), SLIDES, resisted)
-
-    def _let_be(self, bear: Bearing) -> None:
-        """Ties bear the same again. Do without those of pieces that one side alone presses on, along its surface: they are
-        pushed away from it; and, MAX_MOVES places on, along surfaces with friction on which loads push a piece."""
-        ties = self.problem.ties
-        assert ties is not None
-        ties.let_be |= bear.alone & bear.rubs
-        slipping = bear.rubs & (bear.pushed > PUSHED_ALONG)
-        if self._moves == MAX_MOVES and (slipping & ~ties.slipping).any():
-            ties.slipping |= slipping
-            self._moves = 0
 
     def _guard(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Shorten the step x ← x − y until no cell is inverted and no closed point slides too far."""

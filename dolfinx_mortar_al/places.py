@@ -17,6 +17,7 @@ from dolfinx_mortar_al.ties import Bearing
 __all__ = ["Places"]
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 HELD = 0.9  # share of what a tie bore, of which it bears less at the next place where something resists the slide
 SOFTLY = 0.995  # that share at the next place where nothing resists but how the pressures of meshes differ,
@@ -32,7 +33,7 @@ class Places:
     """
 
     def __init__(self, longest: float) -> None:
-        self._longest = longest
+        self._longest, self._followed = longest, False
         self.forget()
 
     def forget(self) -> None:
@@ -53,8 +54,8 @@ class Places:
         if left < HELD:
             return True
         softly = (left < SOFTLY) & (bear.borne > np.where(bear.pushed > bear.borne, 0.0, NOISE))
-        on = self._balanced(bear.along, weights)
-        known = len(self._forces) <= np.count_nonzero(weights)
+        on = self._balanced(bear, weights)
+        known = len(self._forces) <= self._unknowns(bear)
         return bool(known and softly.any() and np.sum(weights * on * now) > 0.0 and length(on) <= self._longest)
 
     @staticmethod
@@ -69,7 +70,7 @@ class Places:
         f = on = bear.along
         if self._forces:
             weights = self._weights(bear)
-            on = self._balanced(f, weights)
+            on = self._balanced(bear, weights)
             forwards = float(np.sum(weights**2 * on * f)) > 0.0
             if not resisted and not (forwards and length(on) <= self._longest):
                 self._stride = 2.0 * self._stride + 1.0
@@ -81,9 +82,41 @@ class Places:
         self._moves.append(on)
         return on
 
-    def _balanced(self, f: Array, weights: Array) -> Array:
+    @staticmethod
+    def _unknowns(bear: Bearing) -> int:
+        """One for each piece that its tie holds, but no more than there are ties."""
+        return min(int(np.count_nonzero(bear.borne > 0.0)), bear.ties)
+
+    def follow(
+        self,
+        bear: Bearing,
+        along: Flags,
+        dragged: Callable[[], Array],
+        length: Callable[[Array], float],
+        *,
+        first: bool,
+    ) -> Array | None:
+        """How far on to tie those of the pieces `along` (pieces,) that friction drags, farther than their ties have given
+        way: to where it will have `dragged` them, (pieces, motions) in N. None if there are none, or if this is to be the
+        `first` time and is not."""
+        if first and self._followed:
+            return None
+        f, along = bear.along, along & (bear.borne > NOISE)
+        if not along.any():
+            return None
+        way = dragged()
+        farther = along & (np.sum(way * f, axis=1) > np.sum(f**2, axis=1))
+        if not farther.any():
+            return None
+        self.forget()
+        self._followed = True
+        on = f + np.where(farther[:, None], way, 0.0)
+        return np.asarray(on * min(1.0, self._longest / max(length(on), 1e-300)))
+
+    def _balanced(self, bear: Bearing, weights: Array) -> Array:
         """The way to where forces that are linear would vanish, Picard's for what the places so far say nothing of."""
-        forces, most = [*self._forces, f], np.count_nonzero(weights)
+        f, most = bear.along, self._unknowns(bear)
+        forces = [*self._forces, f]
         Δf = np.diff(forces, axis=0)[-most:].reshape(-1, f.size).T
         Δa = np.array(self._moves)[-most:].reshape(-1, f.size).T
         w = np.broadcast_to(weights, f.shape).ravel()

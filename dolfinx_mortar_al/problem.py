@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Any, Protocol
 
 import numpy as np
@@ -59,6 +58,7 @@ SLIDE = (
     "to where it was bears them; refine its surface, or prescribe the motion that is free, of one node"
 )
 TOLD = 1e-3  # share of the contact forces that a tie may bear, or round-off may be, unsaid
+ROLLS = 0.01  # share of the squares of velocities along surfaces below which a motion is a rolling
 OUT_OF_BALANCE = 0.1  # of the worst: loose bodies that a failed solve names
 LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
 NOISE = 1e-3  # share of round-off in a body's forces below which a tie bears nothing, and contact does not press on it
@@ -270,8 +270,8 @@ class ContactProblem:
         #: on the nodes, while the bodies go to where they come to rest (`relaxation`)
         self.dashpots: Dashpots | None = None
         #: of pieces that contact alone holds; None if there are none
-        self.ties = None if self.springs is None else Ties(self.bodies, self.springs.array_r * self._spring_shares)
         self._pressed: Array = np.zeros(self.bodies.pieces)  # most of the contact forces in this solve (N)
+        self.ties = None if self.springs is None else Ties(self.bodies, self.springs.array_r * self._spring_shares)
         # which pieces nothing presses on: as found last, and in the last equilibrium
         self._free: NDArray[np.bool_] = np.zeros(self.bodies.pieces, dtype=bool)
         self._known_free: NDArray[np.bool_] = self._free
@@ -584,7 +584,7 @@ class ContactProblem:
         """What resists rigid motions in this state, from the displacements that nodal forces (owned dofs,) lead to
         (collective)."""
         if self.ties is not None:
-            self.ties.measure(response, self._rubbing, self._pressing())
+            self.ties.measure(response, self._pressing())
 
     def _pressing(self) -> Array:
         """(pieces,) what pairs press on each piece with, balanced or not (N, collective)."""
@@ -607,17 +607,39 @@ class ContactProblem:
             pair.apart()
         return [np.stack(v, axis=1) for v in zip(*there, strict=True)]
 
-    def _rubbing(self, motions: Array) -> Array:
-        """(motions, motions) mean over the contact forces of 𝐦_T⊗𝐦_T, the velocities along surfaces with friction that
-        displacements (owned dofs, motions) are (collective)."""
-        total, pressed = np.zeros((motions.shape[1],) * 2), 0.0
+    def _rubbing(self, motion: Array) -> Array:
+        """(pieces,) mean square over the contact forces on each piece of the velocities along surfaces with friction that a
+        displacement (owned dofs,) is (collective)."""
+        rubbed, pressed = [], []
+        for pair, v in zip(self.pairs, self._sliding(motion[:, None]), strict=True):
+            weight = pair.j * pair.state.p
+            rubbed.append(float(np.sum(weight * np.sum(v**2, axis=(1, 2)))))
+            pressed.append(float(np.sum(weight)))
+        sums = sum_over(self.comm, np.array([rubbed, pressed]))
+        squares, forces = (self._on_pieces(list(each)) for each in sums)
+        return squares / np.maximum(forces, 1e-300)
+
+    def _sliding(self, motions: Array) -> list[Array]:
+        """(n, motions, gdim) what of :meth:`_relative` goes along surfaces with friction, for each pair (collective)."""
+        along = []
         for pair, v in zip(self.pairs, self._relative(motions), strict=True):
-            weight = pair.j * pair.state.p * np.any(v, axis=(1, 2))
-            if pair.friction:
-                v = v - np.einsum("nkd,nd,ne->nke", v, pair.at.ν, pair.at.ν)
-                total += np.einsum("n,nkd,nld->kl", weight, v, v)
-            pressed += float(weight.sum())
-        return np.asarray(sum_over(self.comm, total) / max(sum_over(self.comm, pressed), 1e-300))
+            ν = pair.at.ν[:, None]
+            along.append(v - np.sum(v * ν, axis=2, keepdims=True) * ν if pair.friction else np.zeros_like(v))
+        return along
+
+    def dragged(self) -> Array:
+        """(pieces, motions) what ties would bear more (N) if the pieces went on along them by what undoes, by least squares
+        over the contact forces, how far surfaces with friction have slid in this step (collective)."""
+        assert self.ties is not None
+        n = len(self.ties.ways)
+        A: Array = np.zeros((n, n))
+        b: Array = np.zeros(n)
+        for pair, v in zip(self.pairs, self._sliding(self.ties.ways.T), strict=True):
+            weight = pair.j * pair.state.p
+            A += np.einsum("n,nkd,nld->kl", weight, v, v)
+            b -= np.einsum("n,nkd,nd->k", weight, v, pair.slid())
+        amounts = np.linalg.pinv(sum_over(self.comm, A), rcond=ROLLS, hermitian=True) @ sum_over(self.comm, b)
+        return self.ties.further(amounts)
 
     def _holding(self, motions: Array) -> Array:
         """(motions, motions) mean over the area that faces a target of 𝐦⊗𝐦 where it touches, the relative velocities that
@@ -632,17 +654,19 @@ class ContactProblem:
         return np.asarray(sum_over(self.comm, total) / max(sum_over(self.comm, faced), 1e-300))
 
     def ties_bear(self) -> Bearing:
-        """What ties bear, as shares of the contact forces on each piece, of the largest in this solve: what one side alone
-        presses on is pushed away from it (collective). Forces that balance each other on a piece count, as of a disc in its
-        hole."""
+        """What ties bear, as shares of the contact forces on each piece (collective). Forces that balance each other on a
+        piece count, as of a disc in its hole."""
         assert self.ties is not None
-        pressed = self._pressing()
-        np.maximum(self._pressed, pressed, out=self._pressed)
-        bear = self.ties.bearing(self.bulk_forces.array_r, self._pressed, pressed, self._no_press())
-        for _, touched in product(self.pairs, self._touched):  # what pushes a piece pushes others that it presses on
-            together = touched & self.ties.tied
-            bear.pushed[together] = bear.pushed[together].max(initial=0.0)
-        return bear
+        present = self._pressing()
+        np.maximum(self._pressed, present, out=self._pressed)
+        return self.ties.bearing(
+            self.bulk_forces.array_r,
+            self._pressed,
+            present,
+            self._no_press(),
+            self._touched * len(self.pairs),
+            self._rubbing,
+        )
 
     def start_ties(self) -> None:
         """At the start of a solve: along motions that next to nothing resisted in the last equilibrium, or before the first
@@ -652,13 +676,15 @@ class ContactProblem:
             first = any(pair.active.guessed for pair in self.pairs)
             self.ties.begin(self._holding if first else None)
 
-    def move_ties(self, f: PETSc.Vec, bear: Array) -> bool:
-        """Tie the pieces to where the ties bear so much, (pieces, motions) in N; f, the residual, is brought up to date.
-        Whether other motions are tied than before (collective)."""
+    def move_ties(self, f: PETSc.Vec, bear: Array, *, softer: bool) -> bool:
+        """Tie the pieces to where the ties bear so much, (pieces, motions) in N, by softer ties if need be; f, the residual,
+        is brought up to date. Whether other motions are tied than before (collective)."""
         assert self.ties is not None
         for pair in self.pairs:
             pair.begin_again()
         self.bulk_forces.array[:] -= self.ties.forces()
+        if softer:
+            self.ties.soften()
         self.ties.move(bear)
         changed = self.ties.engage()
         self.bulk_forces.array[:] += self.ties.forces()
@@ -726,7 +752,7 @@ class ContactProblem:
         self.lacks_stiffness, self._known_free = False, self._free
         self.bodies.begin()
         if self.ties is not None:
-            self.ties.move(np.zeros(self.ties.resistance.shape[:2]))
+            self.ties.release()
         for pair in self.pairs:
             pair.commit()
 

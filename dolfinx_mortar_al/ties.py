@@ -1,14 +1,15 @@
 """Ties of pieces that contact alone holds, along what nothing resists (``docs/newton.md``).
 
-A body squeezed between flat plates may lie anywhere along them, a wheel may roll along its track, and what pressures leave
-along the plates, an error of the mesh, has nothing to resist it: as a rule there is no equilibrium. So such a piece is tied
-to where it was in the last one,
+A body squeezed between flat plates may lie anywhere along them, a wheel may roll along its track, a beam with the rollers
+that it lies on; and what pressures leave along the plates, an error of the mesh, has nothing to resist it: as a rule there
+is no equilibrium. So such pieces are tied to where they were in the last one,
 
-    𝐟 = ∑ κ 𝐦 (𝐦·(𝐮 − 𝐚)),
+    𝐟 = s ∑ 𝐦 (𝐦·(𝐮 − 𝐚)),
 
-with the rigid motions 𝐦 that next to nothing resists, orthonormal over the nodes, so that a tie bears a slide and nothing
-else. When Newton has converged the piece is tied to where it is then, and the solve goes on: where something does resist the
-slide the tie bears less each time; where nothing does it bears the same again.
+with the rigid motions of all pieces together that next to nothing resists, so that ties bear a slide and nothing else. For
+s = 1 a tie resists with a stiffness κ what it moves of a piece. When Newton has converged the pieces are tied to where they
+are then, and the solve goes on: where something does resist the slide the tie bears less each time; where nothing does it
+bears the same again. Ties of pieces that loads push against others become softer each time.
 
 Before the first equilibrium nothing is pressed: tied are the motions that what touches could not hold.
 """
@@ -25,7 +26,7 @@ from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.pieces import rigid_motions
 from dolfinx_mortar_al.reductions import sum_over
 
-__all__ = ["Bearing", "Ties"]
+__all__ = ["PUSHED", "Bearing", "Ties"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -43,7 +44,10 @@ HELD = 1e-6  # norm over prescribed components of a rigid motion, one in the mea
 SAME = 0.1  # difference of two projections onto motions that count as the same
 WEAK = 1e-6  # share of a tie that springs at the nodes have, which make the sparse Jacobian regular,
 WEAK_TO_MULTIGRID = 1e-3  # where multigrid inverts it
-HISTORY = ("anchor", "resistance", "rubbing", "slipping", "borne")
+PUSHED = 0.01  # of the contact forces: what loads push with must be resisted by more than a tie
+SOFTER = 0.1  # a tie at the next place, where a load pushes its piece against others: what it bears falls tenfold, too,
+SOFTEST = 1e-9  # where all points slip and a spring of a millionth of the bodies' stiffness holds
+HISTORY = ("anchor", "resistance", "borne")
 
 
 class Bearing(NamedTuple):
@@ -52,10 +56,12 @@ class Bearing(NamedTuple):
     Attributes:
         along: (pieces, motions) along the motions of each piece (N).
         borne: (pieces,) their norm, as a share of `most`.
-        most: (pieces,) the largest contact forces on each piece in this solve, or what loads push with, if that is more (N).
-        alone: (pieces,) whether it is more than half of the present ones: one side alone presses the piece against its tie.
-        pushed: (pieces,) what loads push with along the same motions, as the share that `borne` is.
+        most: (pieces,) the contact forces on each piece (N), or what loads push with, if that is more; where no load pushes
+            the largest ones in this solve.
+        alone: (pieces,) whether it is more than half of the contact forces: one side presses the piece against its tie.
+        pushed: (pieces,) what loads push with along the same motions, as a share of present contact forces, at most 1.
         rubs: (pieces,) whether friction could bear it.
+        ties: number of them.
     """
 
     along: Array
@@ -64,6 +70,7 @@ class Bearing(NamedTuple):
     alone: Flags
     pushed: Array
     rubs: Flags
+    ties: int
 
 
 class Ties:
@@ -75,14 +82,13 @@ class Ties:
 
     Attributes:
         anchor: (owned dofs,) displacement where the ties bear nothing (m).
-        resistance: (pieces, motions, motions) to the rigid motions of each piece in the last equilibrium (N/m), at least a
-            tie's where it is a stiffness that resists; 0 where that is not known.
-        rubbing: (pieces, motions, motions) share of each motion's square that goes along surfaces with friction.
+        resistance: (motions, motions) of all pieces together, to their rigid motions in the last equilibrium, as a share of
+            that of a tie; at least 1 where it is a stiffness that resists; 0 where that is not known.
         tied: (pieces,) which contact alone holds.
-        slipping: (pieces,) which loads push along such surfaces beyond what friction bears: they are not tied along them.
         let_be: (pieces,) which are not tied in this solve.
         borne: (pieces,) what ties bear in the last equilibrium, as a share of the contact forces.
-        motions, stiffness, piece: (ties, owned dofs), (ties,) in N/m and (ties,) of the ties in use.
+        motions, ways: (ties, owned dofs) of the ties in use: nodal forces 𝐦, and displacements along them.
+        softness: s, as a share of a tie's stiffness.
     """
 
     def __init__(self, bodies: Bodies, diagonal: Array) -> None:
@@ -97,20 +103,21 @@ class Ties:
         self._pieces = [int(p) for p in np.flatnonzero(self.tied)]
         m = 3 * (d - 1)
         self.anchor: Array = bodies.get()
-        self.resistance: Array = np.zeros((bodies.pieces, m, m))
-        self.rubbing: Array = np.zeros_like(self.resistance)
-        self.slipping: Flags = np.zeros(bodies.pieces, dtype=bool)
+        self._n = bodies.pieces * m
+        self._root: Array = np.repeat(np.sqrt(self._k), m)
+        self._inverse: Array = np.divide(1.0, self._root, out=np.zeros(self._n), where=self._root > 0.0)
+        self.resistance: Array = np.zeros((self._n, self._n))
         self.let_be: Flags = np.zeros(bodies.pieces, dtype=bool)
         self.borne: Array = np.zeros(bodies.pieces)
-        self._free = np.zeros_like(self.resistance)  # projects onto the motions that are tied
+        self._free: Array = np.zeros_like(self.resistance)  # projects onto the motions that are tied
         self.motions: Array = np.zeros((0, len(diagonal)))
-        self.stiffness: Array = np.zeros(0)
-        self.piece: Index = np.zeros(0, dtype=np.int64)
+        self.ways: Array = np.zeros((0, len(diagonal)))
+        self.softness = 1.0
 
     @property
     def acts(self) -> bool:
         """Whether anything is tied."""
-        return len(self.stiffness) > 0
+        return len(self.motions) > 0
 
     def _by_piece(self, values: Array) -> Array:
         """(pieces, ...) sums of nodal values (owned nodes, ...) of this rank."""
@@ -124,43 +131,57 @@ class Ties:
         """A solve begins: tie motions that next to nothing resisted in the last equilibrium, or before the first one those
         that what touches does not hold: of the squares of motions (owned dofs, motions) `holding` gives the mean of what it
         holds, (motions, motions) (collective)."""
-        self.borne[:], self.let_be[:] = 0.0, False
+        self.borne[:], self.let_be[:], self.softness = 0.0, False, 1.0
         if holding is None:
             self.engage()
-        else:
-            self.slipping[:] = False
-            R, admissible = self._admissible()
-            self._tie(
-                R, [self._unheld(R, p, basis, holding) for p, basis in zip(self._pieces, admissible, strict=True)]
-            )
+            return
+        R, admissible = self._admissible()
+        unheld = [self._unheld(R, p, basis, holding) for p, basis in zip(self._pieces, admissible, strict=True)]
+        self._tie(R, self._together(unheld))
 
     def engage(self) -> bool:
         """Tie motions that next to nothing resists; whether they are others than before (collective)."""
         before = self._free
         R, admissible = self._admissible()
-        self._tie(R, [self._soft(p, basis) for p, basis in zip(self._pieces, admissible, strict=True)])
+        self._tie(R, self._soft(admissible))
         return bool(np.abs(self._free - before).max(initial=0.0) > SAME)
 
-    def _tie(self, R: Array, free: list[Array]) -> None:
-        """Tie the pieces along combinations of the rigid motions R, (motions, ·) orthonormal for each of them."""
-        self._free = np.zeros_like(self.resistance)
-        along: list[Array] = [np.zeros((self.anchor.size, 0))]
-        for p, f in zip(self._pieces, free, strict=True):
-            self._free[p] = f @ f.T
-            along.append(self._of(p, R) @ f)
-        self.motions = np.concatenate(along, axis=1).T.copy()
-        self.piece = np.repeat(np.array(self._pieces, dtype=np.int64), [f.shape[1] for f in free])
-        self.stiffness = self._k[self.piece]
+    def _together(self, bases: list[Array]) -> Array:
+        """(motions of all pieces, ·) an orthonormal basis of the pieces' ones."""
+        n, m = self._n, 3 * (self._bodies.gdim - 1)
+        columns = [np.zeros((n, 0))]
+        for p, basis in zip(self._pieces, bases, strict=True):
+            wide = np.zeros((n, basis.shape[1]))
+            wide[p * m : (p + 1) * m] = basis
+            columns.append(wide)
+        return np.concatenate(columns, axis=1)
 
-    def _soft(self, p: int, basis: Array) -> Array:
-        """(motions, ·) an orthonormal basis of those motions of a piece, out of a `basis`, that next to nothing resists."""
-        resistance = self.resistance[p]
-        if self.let_be[p] or not resistance.any():
-            return np.zeros((len(basis), 0))
-        if self.slipping[p]:
-            resistance = resistance + NEUTRAL * self._k[p] / RUBS**2 * self.rubbing[p]
+    def _all_of(self, R: Array, free: Array) -> Array:
+        """(owned dofs, ·) nodal values along combinations `free` (motions of all pieces, ·) of the rigid motions R of
+        pieces, orthonormal over their nodes."""
+        if not free.shape[1]:
+            return np.zeros((self.anchor.size, 0))
+        by_piece = free.reshape(self._bodies.pieces, -1, free.shape[1]) / np.sqrt(self._nodes)[:, None, None]
+        return np.asarray(np.einsum("nim,nma->nia", R, by_piece[self._piece]).reshape(self.anchor.size, -1))
+
+    def _tie(self, R: Array, free: Array) -> None:
+        """Tie the pieces along orthonormal combinations (motions of all pieces, ·) of the rigid motions R, each counted in
+        what a tie of its piece resists it with."""
+        self._free = free @ free.T
+        self.motions, self.ways = (
+            self._all_of(R, scale[:, None] * free).T.copy() for scale in (self._root, self._inverse)
+        )
+
+    def _soft(self, admissible: list[Array]) -> Array:
+        """(motions of all pieces, ·) an orthonormal basis of those motions, together, that next to nothing resists."""
+        held = [np.zeros((len(b), 0)) if self.let_be[p] else b for p, b in zip(self._pieces, admissible, strict=True)]
+        basis, resistance = self._together(held), self.resistance
+        if not resistance.any() or not basis.shape[1]:
+            return np.zeros((self._n, 0))
+        if self.let_be.any():  # what is let be follows
+            resistance = basis @ np.linalg.pinv(basis.T @ np.linalg.pinv(resistance) @ basis) @ basis.T
         share, axes = np.linalg.eigh(basis.T @ (resistance + resistance.T) @ basis / 2)
-        return np.asarray(basis @ axes[:, share < NEUTRAL * self._k[p]])
+        return np.asarray(basis @ axes[:, share < NEUTRAL])
 
     def _unheld(self, R: Array, p: int, basis: Array, holding: Callable[[Array], Array]) -> Array:
         """(motions, ·) an orthonormal basis of those of the motions R of a piece, out of a `basis`, that what touches does
@@ -185,27 +206,32 @@ class Ties:
         """(owned dofs, motions) the rigid motions R of a piece, orthonormal over its nodes."""
         return ((self._piece == p)[:, None, None] * R / np.sqrt(self._nodes[p])).reshape(self.anchor.size, -1)
 
-    def measure(self, response: Callable[[Array], Array], rubbing: Callable[[Array], Array], pressed: Array) -> None:
+    def measure(self, response: Callable[[Array], Array], pressed: Array) -> None:
         """What resists rigid motions, from the displacements that nodal forces (owned dofs,) lead to, where each piece is
-        `pressed` with so much, (pieces,) in N; and of the squares of motions (owned dofs, motions) the mean of what goes
-        along surfaces with friction, (motions, motions) (collective)."""
+        `pressed` with so much, (pieces,) in N (collective)."""
         R, admissible = self._admissible()
+        basis = self._together(admissible)
+        if not basis.shape[1]:
+            return
+        m = self._all_of(R, self._root[:, None] * basis)
+        u = np.stack([response(column) for column in m.T], axis=1)
+        resistance = np.linalg.pinv(sum_over(self._bodies.comm, m.T @ u))
+        resists, axes = np.linalg.eigh((resistance + resistance.T) / 2)
+        # (pieces, motions) mean square over a piece's nodes of what each motion moves of it
+        square = self._square(basis @ axes)
+        deformed = self._deformation(R, admissible, u @ resistance @ axes) > DEFORMS**2 * square.max(axis=0)
+        geometric = np.sum(square * (GEOMETRIC * pressed / np.maximum(self._sizes(), 1e-300))[:, None], axis=0)
         held = np.ones(len(self._nodes), dtype=bool)  # in place
-        held[[p for p, basis in zip(self._pieces, admissible, strict=True) if basis.size]] = False
-        geometric = GEOMETRIC * pressed / np.maximum(self._sizes() * self._nodes, 1e-300)
-        for p, basis in zip(self._pieces, admissible, strict=True):
-            if not basis.size:
-                continue
-            m = self._of(p, R) @ basis
-            u = np.stack([response(column) for column in m.T], axis=1)
-            resistance = np.linalg.pinv(sum_over(self._bodies.comm, m.T @ u))
-            resists, axes = np.linalg.eigh((resistance + resistance.T) / 2)
-            u = np.sqrt(self._nodes[p]) * u @ resistance @ axes
-            deformed = self._deformation(R, admissible, u) > DEFORMS**2
-            stiff = deformed[held].any(axis=0) | (deformed.any(axis=0) & (resists > geometric[p]))
-            resists[stiff] = np.maximum(resists[stiff], self._k[p])
-            self.resistance[p] = basis @ (axes * resists) @ axes.T @ basis.T
-            self.rubbing[p] = self._nodes[p] * basis @ rubbing(m) @ basis.T
+        held[[p for p, b in zip(self._pieces, admissible, strict=True) if b.size]] = False
+        stiff = deformed[held].any(axis=0) | (deformed.any(axis=0) & (resists > geometric))
+        resists[stiff] = np.maximum(resists[stiff], 1.0)
+        self.resistance = basis @ (axes * resists) @ axes.T @ basis.T
+
+    def _square(self, free: Array) -> Array:
+        """(pieces, ·) mean square over each piece's nodes of the displacements along combinations `free` (motions of all
+        pieces, ·)."""
+        each = np.sum((self._inverse[:, None] * free).reshape(self._bodies.pieces, -1, free.shape[1]) ** 2, axis=1)
+        return np.asarray(each / self._nodes[:, None])
 
     def _deformation(self, R: Array, admissible: list[Array], u: Array) -> Array:
         """(pieces, n) mean square over each piece's nodes of what displacements u (owned dofs, n) are beside those of its
@@ -252,47 +278,87 @@ class Ties:
 
     def pull(self, u: Array) -> Array:
         """(owned dofs,) forces (N) of the ties in use for displacements u (owned dofs,), collective."""
-        return (self.stiffness * self.times(u)) @ self.motions if self.acts else np.zeros_like(u)
+        return self.softness * self.times(u) @ self.motions if self.acts else np.zeros_like(u)
 
     def along(self, forces: Array) -> Array:
         """(pieces, motions) of nodal forces (owned dofs,) what acts along the tied motions, at the present positions (N,
         collective)."""
         f = forces.reshape(len(self._piece), -1)
         total = sum_over(self._bodies.comm, self._by_piece(np.einsum("nim,ni->nm", self._rigid_motions(), f)))
-        return np.asarray((self._free @ total[:, :, None])[:, :, 0])
+        nodes = np.sqrt(self._nodes)[:, None]
+        free = self._free @ (self._inverse * (total / nodes).ravel())
+        return np.asarray((self._root * free).reshape(total.shape) * nodes)
 
-    def bearing(self, bulk: Array, most: Array, present: Array, noise: Array) -> Bearing:
+    def bearing(
+        self,
+        bulk: Array,
+        most: Array,
+        present: Array,
+        noise: Array,
+        touched: list[Flags],
+        rubbing: Callable[[Array], Array],
+    ) -> Bearing:
         """What ties bear where `bulk` (owned dofs,) are the bodies' forces with those of ties, and the contact forces on each
-        piece, present ones and the `most` of them in this solve (pieces,), in N; what is less than `noise` (pieces,) is
-        nothing (collective)."""
+        piece, `present` ones and the `most` of them in this solve (pieces,), in N; less than `noise` (pieces,) is nothing.
+        What pushes one of the pieces that a pair has `touched` (pieces,) pushes the others. `rubbing` gives of displacements
+        (owned dofs,) the mean square over the contact forces on each piece (pieces,) of what goes along surfaces with
+        friction (collective)."""
         f = self.forces()
         borne, pushed = self.along(f), np.linalg.norm(self.along(bulk - f), axis=1)
         borne *= (np.linalg.norm(borne, axis=1) > noise)[:, None]
-        size, most = np.linalg.norm(borne, axis=1), np.maximum(np.maximum(most, pushed), 1e-300)
-        rubs = np.einsum("pi,pij,pj->p", borne, self.rubbing, borne) > (RUBS * size) ** 2
-        alone = (size > present / 2) & (present > 0)
-        return Bearing(borne, size / most, most, alone, pushed / most, rubs)
+        pushed *= pushed > noise
+        size, here = np.linalg.norm(borne, axis=1), np.maximum(np.maximum(present, pushed), 1e-300)
+        pushed = pushed / here
+        for together in touched:
+            pushed[together & self.tied] = pushed[together & self.tied].max(initial=0.0)
+        # what nothing pushes may be where next to nothing presses it, which is no share to measure by
+        most = np.where(pushed > PUSHED, here, np.maximum(most, here))
+        way = self.motion(borne)
+        square = sum_over(self._bodies.comm, self._by_piece(np.sum(way.reshape(len(self._piece), -1) ** 2, axis=1)))
+        rubs = rubbing(way) > RUBS**2 * square / self._nodes
+        return Bearing(
+            along=borne,
+            borne=size / most,
+            most=most,
+            alone=(present > 0.0) & (size > present / 2),
+            pushed=pushed,
+            rubs=rubs & (size > 0.0),
+            ties=len(self.motions),
+        )
 
     def springs(self, *, multigrid: bool) -> Array:
         """(owned nodes, gdim, gdim) stiffness (N/m) of weak springs at the nodes, along the motions: weaker for factors than
         for `multigrid`."""
-        weak = WEAK_TO_MULTIGRID if multigrid else WEAK
+        weak = self.softness * (WEAK_TO_MULTIGRID if multigrid else WEAK)
         m = self.motions.reshape(-1, len(self._piece), self._bodies.gdim)
-        return np.asarray(np.einsum("a,ani,anj->nij", weak * self.stiffness * self._nodes[self.piece], m, m))
+        return np.asarray(np.einsum("n,ani,anj->nij", weak * self._nodes[self._piece], m, m))
 
     # ---------------------------------------------------------------- steps
 
     def motion(self, forces: Array) -> Array:
         """(owned dofs,) how far (m) the pieces are from where ties that bear `forces` (pieces, motions) hold them
         (collective)."""
+        stiffness = self.softness * (self._k * self._nodes)[self._pieces, None]
         away = np.zeros_like(forces)
-        away[self._pieces] = forces[self._pieces] / (self._k * self._nodes)[self._pieces, None]
+        away[self._pieces] = forces[self._pieces] / stiffness
         return np.asarray(np.einsum("nim,nm->ni", self._rigid_motions(), away[self._piece]).ravel())
+
+    def further(self, amounts: Array) -> Array:
+        """(pieces, motions) what ties bear more (N) where pieces are so much (ties,) on along their ways (collective)."""
+        return self.along(self.softness * amounts @ self.motions)
+
+    def soften(self) -> None:
+        """Let ties be softer from now on in this solve; the pieces are to be tied anew."""
+        self.softness = max(SOFTEST, SOFTER * self.softness)
 
     def move(self, bear: Array) -> None:
         """Tie the pieces to where, as they are, ties along the present motions bear so much, (pieces, motions) in N
         (collective)."""
         self.anchor = self._bodies.get() - self.motion(bear)
+
+    def release(self) -> None:
+        """Tie the pieces to where they are (collective)."""
+        self.anchor = self._bodies.get()
 
     def snapshot(self) -> dict[str, Array]:
         """What a step may change."""
