@@ -40,12 +40,12 @@ Bool = NDArray[np.bool_]
 
 PASSED = "the step has carried one surface through the other; take smaller steps"
 MISSED = (
-    "the surfaces overlap by more than integration points are apart; take smaller steps, refine the contactor or raise "
-    "quadrature_degree"
+    "the surfaces overlap by more than integration points are apart; take smaller steps, refine the contactor, swap "
+    'contactor and target, or take integration="segments"'
 )
 BETWEEN = (
-    "the surfaces overlap between the integration points, which do not feel it; refine the contactor or raise "
-    "quadrature_degree"
+    "the surfaces overlap between the integration points, which do not feel it; refine the contactor, raise "
+    'quadrature_degree, or take integration="segments"'
 )
 FOLDS = "a membrane has folded over in the step, which it does in compression alone; take smaller steps"
 SHARE = 0.02  # of the longer facet: what overlaps by less is an error of the mesh
