@@ -32,6 +32,7 @@ FACING = 0.1  # least cosine between ray and target's normal: flatter hits have 
 # penetration, in facets, beyond which the closest point must confirm a hit behind the contactor: 𝐱 is in the target, and as
 # deep as a flat one would be that the ray meets as slantingly as FACING lets it
 DEEP = 0.5
+ITSELF = 1e-6  # facets behind a point: nearer is, but for round-off, the facet that it is on, of a surface in contact with itself
 BEYOND = 1.0  # how far beyond the sides of a facet at the target's end, in η, it may go on while a solve is on its way
 MAX_ITERATIONS = 12  # of Newton for the hit on a curved facet; five do, unless the ray all but touches the facet
 
@@ -84,7 +85,8 @@ def cast(
         depth: (n,) penetration (m) beyond which a hit behind the contactor does not count, in place of the closest points.
     """
     found = hits(target.shape, positions[target.facets], x, normal, *couples)
-    opposed = _is_opposed(target, positions, found, normal)
+    cosine = _cosine(target, positions, found, normal)
+    opposed = (cosine < -FACING) & ~_is_beyond(found, (cosine > 0.0) & (found.d < -ITSELF * target.size_of_facets), len(x))
     if depth is not None:
         opposed &= found.d >= -depth[found.row]
     found = found.take(opposed)
@@ -127,7 +129,7 @@ def extend(at: RayHit, target: GatheredFacets, positions: Array, x: Array, which
     normal, nodes = -at.ν[which], positions[target.facets]
     couples = np.repeat(np.arange(len(which)), near.shape[1]), near.ravel()
     found = hits(target.shape, nodes, x[which], normal, *couples, beyond=BEYOND)
-    found = found.take(_is_opposed(target, positions, found, normal))
+    found = found.take(_cosine(target, positions, found, normal) < -FACING)
     missed = -_inside_by(found.η, len(target.shape.corners) == 3)
     found = found.take(_first_of_each(found.row, missed))
     held, own = which[found.row], nodes[found.facet]
@@ -136,10 +138,18 @@ def extend(at: RayHit, target: GatheredFacets, positions: Array, x: Array, which
     return np.asarray(held)
 
 
-def _is_opposed(target: GatheredFacets, positions: Array, found: Hits, normal: Array) -> NDArray[np.bool_]:
-    """(m,) whether the target's normal at hits opposes their rays, along `normal` (n, gdim)."""
+def _cosine(target: GatheredFacets, positions: Array, found: Hits, normal: Array) -> Array:
+    """(m,) between the target's normal at hits and their rays, along `normal` (n, gdim)."""
     m = surface_normal(found.dN @ positions[target.facets[found.facet]]) * target.orientation[found.facet, None]
-    return np.asarray(dot(m, normal[found.row]) < -FACING * np.sqrt(dot(m, m)))
+    return np.asarray(dot(m, normal[found.row]) / np.maximum(np.sqrt(dot(m, m)), 1e-300))
+
+
+def _is_beyond(found: Hits, enters: NDArray[np.bool_], n: int) -> NDArray[np.bool_]:
+    """(m,) hits behind one of n contactor points on the way back to which the line `enters` (m,) the target: the point itself
+    is outside, and what it would penetrate is the far side of a tooth."""
+    first = np.full(n, -np.inf)
+    np.maximum.at(first, found.row[enters], found.d[enters])
+    return np.asarray(found.d < first[found.row])
 
 
 def _inside_by(η: Array, triangle: bool) -> Array:

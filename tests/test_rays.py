@@ -295,6 +295,15 @@ def test_a_hit_far_behind_is_none_where_the_point_is_hardly_in_the_target():
     assert at.g[1] == pytest.approx(0.75 + 0.125 * 0.005 / 0.12 - 0.7, abs=1e-12)
 
 
+def test_the_far_side_of_a_tooth_behind_a_point_is_none():
+    """A plate between y = −0.01 and −0.05, less than half a facet thick, and rays upwards: from above it the plate lies behind
+    the point and is not penetrated, from within it is."""
+    plate, up = sheets((-0.01, 1), (-0.05, -1)), np.array([[0.0, 1.0], [0.0, 1.0]])
+    at = shoot(plate, np.array([[0.45, 0.0], [0.45, -0.03]]), up)
+    assert at.facing.tolist() == [False, True]
+    assert at.g[1] == pytest.approx(0.02, abs=1e-12)
+
+
 def test_in_a_u_the_near_leg_is_faced():
     """Two sheets that face each other, a point between them: each ray takes the sheet it points to, also in penetration."""
     gap = sheets((0.0, 1), (0.5, -1))
