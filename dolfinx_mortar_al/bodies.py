@@ -361,6 +361,13 @@ class Bodies:
         parts = zip(self.bodies, self._slices, strict=True)
         return np.concatenate([body.prescribed().x.array[: part.stop - part.start] > 0 for body, part in parts])
 
+    def unmet(self) -> Array:
+        """(owned dofs,) 𝐮 − 𝐮̄ (m) in the components that Dirichlet conditions prescribe, 0 elsewhere."""
+        gap = np.zeros(self._slices[-1].stop)
+        for body, part in zip(self.bodies, self._slices, strict=True):
+            body.set_bc_rows(gap[part])
+        return gap
+
     def norms(self, values: Array) -> Array:
         """(pieces,) norm of nodal values (owned dofs,) on each piece (collective)."""
         squares = np.bincount(self.piece_of_dof, weights=values**2, minlength=self.pieces)

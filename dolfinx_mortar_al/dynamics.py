@@ -96,7 +96,8 @@ def march(
     Args:
         problem: made of motions.
         to, start: final and initial time (s).
-        move: sets all that depends on time: poses of obstacles, Dirichlet values.
+        move: sets all that depends on time: poses of obstacles, Dirichlet values. Unless the march goes on with a `ledger`,
+            prescribed components begin with the velocity that it gives them, whatever their Function holds.
         tolerance: local error of the displacements (m, root mean square over the body where it is largest) by which Δt is
             chosen, never longer than the motions' own; by default it is theirs.
         solver: default one with tolerance RTOL.
@@ -193,6 +194,8 @@ class _TimeControl(Controller[Step]):
             motion.take_up()
         self.levels = [pair.use_steps() for pair in self.problem.pairs]
         self._supports = Supports(self.problem)
+        if self._given is None:  # a march that goes on goes on with their velocities
+            self._supports.begin(self.move, self._way.start, self._way.longest)
         self._projection = VelocityProjection(self.problem, self._supports)
         self.problem.evaluate()
         now = self._with_state(Ledger(0.0, 0.0) if self._given is None else self._given)

@@ -10,7 +10,8 @@ multiplier's shape functions, by impulses 𝐈:
 𝐃 ≥ 0 from the open points of a multiplier's support. Where points stick, or there is no friction, 𝐇 = 𝐆: 𝐯 is the closest
 such velocity in the norm of the mass and kinetic energy can only fall, by what the impact of nodes takes. Where they slip
 impulses act along the step's traction; where a sticking point's impulse would leave Coulomb's cone it is let slip. 𝐆 and
-𝐇 are zero for rigid motions: momentum and angular momentum stay.
+𝐇 are zero for rigid motions: momentum and angular momentum stay. Prescribed velocities are in 𝐯 and stay what they are: supports
+bear the impulses on them, and their columns of 𝐇 are zero.
 """
 
 from __future__ import annotations
@@ -62,6 +63,18 @@ class Settled:
     impulses: list[Array]
 
 
+@dataclass(frozen=True)
+class _Change:
+    """A solution: δ𝐯 (owned dofs,), each pair's impulses at its points (n, components) (N s/m²), the energy that impulses take
+    as conjugate to 𝐆𝐯, the kinetic energy gained, and the work of supports against impulses on them (J)."""
+
+    δv: Array
+    impulses: list[Array]
+    lost: float
+    gain: float
+    by_supports: float
+
+
 class VelocityProjection:
     """The projection for the bodies and pairs of a problem.
 
@@ -93,21 +106,23 @@ class VelocityProjection:
         hold: list[Bool] = [np.ones(pair.integration.size, dtype=bool) for pair in problem.pairs]
         for round_ in range(PASSES + 1):
             parts = self._parts(hold, drag=True)
-            δv, impulses, lost, gain = self._solve(parts, Δt)
-            loose = [part.leaves_cone(i, Δt) for part, i in zip(parts, impulses, strict=True)]
+            change = self._solve(parts, Δt)
+            loose = [part.leaves_cone(i, Δt) for part, i in zip(parts, change.impulses, strict=True)]
             if round_ == PASSES or not any_over(problem.comm, any(bool(some.any()) for some in loose)):
                 break
             last = round_ == PASSES - 1
             hold = [still & ~(some | last) for still, some in zip(hold, loose, strict=True)]
-        found, work = self._impulses(parts, impulses, Δt)
-        if work - gain - lost + dissipated < 0.0 and any(pair.friction for pair in problem.pairs):
+        found, work = self._impulses(parts, change.impulses, Δt)
+        friction = work + change.by_supports - change.gain - change.lost
+        if friction + dissipated < 0.0 and any(pair.friction for pair in problem.pairs):
             parts = self._parts(hold, drag=False)
-            δv, impulses, lost, gain = self._solve(parts, Δt)
-            found, work = self._impulses(parts, impulses, Δt)
+            change = self._solve(parts, Δt)
+            found, work = self._impulses(parts, change.impulses, Δt)
+            friction = work + change.by_supports - change.gain - change.lost
         fields = [motion.velocity for motion in self._motions]
-        by_supports = self._supports.work_in_projection(δv)
-        problem.bodies.spread(problem.bodies.owned(fields) + δv, fields)
-        return Settled(lost, work - gain - lost, work, by_supports, found)
+        by_supports = change.by_supports + self._supports.work_in_projection(change.δv)
+        problem.bodies.spread(problem.bodies.owned(fields) + change.δv, fields)
+        return Settled(change.lost, friction, work, by_supports, found)
 
     def _parts(self, hold: list[Bool], drag: bool) -> list[_Part]:
         pairs = zip(self._problem.pairs, self._density, hold, strict=True)
@@ -118,15 +133,16 @@ class VelocityProjection:
         found = [part.impulse(i, Δt) for part, i in zip(parts, impulses, strict=True)]
         return [impulse for impulse, _ in found], sum(done for _, done in found)
 
-    def _solve(self, parts: list[_Part], Δt: float) -> tuple[Array, list[Array], float, float]:
-        """δ𝐯 (owned dofs,), each pair's impulses at its points (n, components) (N s/m²), the energy that impulses take as
-        conjugate to 𝐆𝐯, and the kinetic energy gained (J)."""
+    def _solve(self, parts: list[_Part], Δt: float) -> _Change:
         if not self._fits(parts):
             self._make_system()
         problem = self._problem
         vectors = [layout.vector() for layout in self._layouts]
         now = vectors[0].duplicate()
         now.array[:] = problem.bodies.owned([motion.velocity for motion in self._motions])
+        free, led, on_supports = now.duplicate(), now.duplicate(), [v.duplicate() for v in vectors[1:]]
+        free.array[:] = ~self._supports.held
+        led.array[:] = np.where(self._supports.held, now.array_r, 0.0)
         for k, (pair, part) in enumerate(zip(problem.pairs, parts, strict=True), start=1):
             G, H, D = self._blocks[k - 1]
             for A, elements in ((G, part.G), (H, part.H), (D, part.D)):
@@ -136,6 +152,8 @@ class VelocityProjection:
             D.setValuesRCV(idle[:, None], idle[:, None], np.full((len(idle), 1, 1), pair.area), _ADD)
             for A in (G, H, D):
                 A.assemble()
+            H.mult(led, on_supports[k - 1])
+            H.diagonalScale(None, free)
             H.scale(-1.0)
             H.transpose(self._nest.getNestSubMatrix(0, k))
             insert_vector(vectors[k], *part.carried(Δt))
@@ -154,7 +172,9 @@ class VelocityProjection:
             lost += (I.dot(r) + I.dot(held)) / 2
         now.axpy(0.5, δv)
         gain = now.dot(self._mass * δv)
-        return δv.array_r.copy(), [part.at_points(v) for part, v in zip(parts, multipliers, strict=True)], lost, gain
+        impulses = [part.at_points(v) for part, v in zip(parts, multipliers, strict=True)]
+        against = -sum(I.dot(v) for I, v in zip(multipliers, on_supports, strict=True))
+        return _Change(δv.array_r.copy(), impulses, lost, gain, against)
 
     def _fits(self, parts: list[_Part]) -> bool:
         """Whether the matrices have room for these parts on all ranks, as for all couples of facets seen before: they and
@@ -211,23 +231,21 @@ class _Part:
         self._rates = rates = level.rates(pair.state, hold, drag)
         N = blocks.interpolation(rates.normals)
         self._pair, self._N, self._j = pair, N[rates.act], pair.j[rates.act]
-        self._facet, target = points.facet[rates.act], pair.target.facets[rates.facet]
+        self._facet = points.facet[rates.act]
         self._rows: Index = pair.multiplier.blocks[self._facet]
         nodes = _nodes(pair, self._facet, rates.facet)
-        fixed = np.concatenate([blocks.fixed[self._facet], pair.target.fixed[target]], axis=1)
         #: (2, n) contactor and target facet of each closed point
         self.couples = np.stack([self._facet, rates.facet])
-        self.G, self.H = ((self._rows, nodes, self._of_nodes(rate, fixed)) for rate in (rates.G, rates.H))
+        self.G, self.H = ((self._rows, nodes, self._of_nodes(rate)) for rate in (rates.G, rates.H))
         weight = np.broadcast_to(np.eye(m), (points.size, m, m)).copy()
         weight[rates.act] = rates.free
         weight *= pair.j[:, None, None] / density
         on, D = pair.multiplier.blocks, points.sum_by_facet(np.swapaxes(N, 1, 2) @ weight @ N)
         self.D = on, on, D.reshape(*on.shape, m, on.shape[1], m)
 
-    def _of_nodes(self, rate: Array, fixed: Bool) -> Array:
+    def _of_nodes(self, rate: Array) -> Array:
         """(n, multiplier nodes, m, nodes, gdim) of a rate (n, m, z) in the slots."""
-        nodal = apply_columns(rate * self._j[:, None, None], self._rates.B, fixed.shape[2])  # (n, m, nodes, gdim)
-        nodal[np.broadcast_to(fixed[:, None], nodal.shape)] = 0.0
+        nodal = apply_columns(rate * self._j[:, None, None], self._rates.B, self._pair.gdim)  # (n, m, nodes, gdim)
         n, m, k, d = nodal.shape
         return (np.swapaxes(self._N, 1, 2) @ nodal.reshape(n, m, k * d)).reshape(n, self._rows.shape[1], m, k, d)
 

@@ -182,6 +182,54 @@ def test_supports_that_move_do_work(gap, friction):
     assert abs(ledger.energy_defect) < 1e-10 * ledger.external_work
 
 
+@pytest.mark.parametrize("led_is_contactor", [False, True])
+def test_a_led_body_pushes_and_does_not_pull(led_is_contactor):
+    """A block at rest is struck by one whose nodes are led at 1 m/s: it leaves with nearly twice that, as from a heavy
+    wall. While prescribed velocities counted as zero when contact's were made to agree, the led face held it back with
+    500 times the force of the impact."""
+    axes = [np.linspace(0, 0.1, 5), np.linspace(0, 0.1, 5)]
+    free = grid(axes, {(0, 0): 1})
+    led = grid(axes, {(0, -1): 2}, place=lambda x: x - [0.102, 0.0])
+    domain, cells, tags = build([free, led])
+    V, u = space(domain, 2)
+    way = fem.Constant(domain, np.zeros(2))
+    domain.topology.create_connectivity(2, 2)
+    bc = fem.dirichletbc(way, fem.locate_dofs_topological(V, 2, cells.find(2)), V)
+    motion = dynamics.Motion(u, materials.neo_hookean(1e6, 0.0), density=1000, step=2e-4)
+    sides = [Surface(domain, tags, 1), Surface(domain, tags, 2)][:: -1 if led_is_contactor else 1]
+    problem = ContactProblem(motion, bcs=[bc], contacts=[Contact(*sides, friction=0.0)])
+
+    def lead(t: float) -> None:
+        way.value[:] = t, 0.0
+
+    steps = list(dynamics.march(problem, to=0.02, move=lead))
+    ledger, mass = steps[-1].ledger, 10.0
+    forces = np.array([step.forces[0][0] for step in steps]) * (-1 if led_is_contactor else 1)
+    assert forces.min() > -1e-9 * forces.max()
+    assert 1.8 * mass < ledger.momentum[0] - mass < 2.0 * mass  # the led block has a mass of 10 kg, too
+    assert ledger.impact_loss < 0.05 * ledger.external_work
+    assert abs(ledger.friction_dissipation) + abs(ledger.energy_defect) < 1e-9 * ledger.external_work
+
+
+def test_a_support_begins_with_the_velocity_of_its_way():
+    """A block whose base is led at a constant velocity from the start, its Function's being zero: the base's velocity is
+    that from then on. It swung between twice that and zero for ever."""
+    domain, _, tags = build([grid([np.linspace(0, 1, 5), np.linspace(0, 0.5, 3)], {(1, -1): 1})])
+    V, u = space(domain, 2)
+    way = fem.Constant(domain, np.zeros(2))
+    base = fem.locate_dofs_topological(V, 1, tags.find(1))
+    motion = dynamics.Motion(u, materials.neo_hookean(1e4, 0.3), density=1.0, step=1e-3)
+    problem = ContactProblem(motion, bcs=[fem.dirichletbc(way, base, V)])
+
+    def lead(t: float) -> None:
+        way.value[:] = 0.3 * t + 5.0 * t**2, -0.1 * t
+
+    for step in dynamics.march(problem, to=0.01, move=lead):
+        v = motion.velocity.x.array.reshape(-1, 2)[base]
+        assert np.allclose(v, [0.3 + 10.0 * step.time, -0.1], rtol=0, atol=1e-8)
+    assert abs(step.ledger.energy_defect) < 1e-10 * step.ledger.external_work
+
+
 @pytest.mark.parametrize("step", [1e-2, 1e-3])
 def test_what_sticks_holds_its_force(step):
     """A round bottom that sticks to a floor which is pressed in, shifted and stopped: friction stays what it is, and loses
