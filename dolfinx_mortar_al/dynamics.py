@@ -198,9 +198,38 @@ class _TimeControl(Controller[Step]):
             self._supports.begin(self.move, self._way.start, self._way.longest)
         self._projection = VelocityProjection(self.problem, self._supports)
         self.problem.evaluate()
+        touches = any(pair.touches().any() for pair in self.problem.pairs)
+        if self._given is None and any_over(self.problem.comm, touches):
+            self._admit()
         now = self._with_state(Ledger(0.0, 0.0) if self._given is None else self._given)
         self.ledger = now if self._given is None else self._given
         self._drift = DriftMonitor(self.problem, now)
+
+    def _admit(self) -> None:
+        """Begin with positions that contact's law over a step allows, where anything presses: those of a step from rest, as short
+        as surfaces take to swing, for which no time passes. Those of a static solution overlap a little more or less where
+        facets are closed in part, as ε is another one there, and to part them within the first step would take the more energy
+        the shorter it is."""
+        problem, before = self.problem, self.problem.snapshot()
+        velocities = [motion.velocity.x.array.copy() for motion in self.motions]
+        for motion in self.motions:
+            motion.time_step.value = self._projection.swing(self._way.longest)
+            motion.velocity.x.array[:] = 0.0
+        for level in self.levels:
+            level.predict()
+        for pair in problem.pairs:
+            pair.begin_step()
+        problem.force_reference = 0.0
+        pressed = self.solver.solve().converged and any(pair.is_pressed() for pair in problem.pairs)
+        if any_over(problem.comm, pressed):
+            for motion in self.motions:
+                motion.take_up()
+            problem.commit()
+        else:
+            problem.restore(before)
+        for motion, v in zip(self.motions, velocities, strict=True):
+            motion.time_step.value = self._way.longest
+            motion.velocity.x.array[:] = v
 
     def leave(self) -> None:
         """The motions' Δt is again what it was."""
