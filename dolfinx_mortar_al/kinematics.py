@@ -224,7 +224,7 @@ def contactor_points(points: IntegrationPoints, nodes: Array) -> ContactorPoints
     tangents = points.tangents(nodes)
     normal = points.normals(tangents)
     normal /= np.sqrt(dot(normal, normal))[:, None]
-    return ContactorPoints(points.interpolate(nodes), normal, tangents, points.facet)
+    return ContactorPoints(points.interpolate(nodes), normal, tangents, points.facet, points.η)
 
 
 class PositionLevel(Kinematics):

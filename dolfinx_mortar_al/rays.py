@@ -7,6 +7,7 @@ pair's normal forces have no moment.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -72,7 +73,7 @@ def cast(
     normal: Array,
     tangents: Array,
     couples: tuple[Index, Index],
-    depth: Array | None = None,
+    counts: Callable[[Hits], NDArray[np.bool_]] | None = None,
 ) -> RayHit:
     """The nearest valid hit of each point's ray, in front of the contactor or, in penetration, behind it.
 
@@ -82,18 +83,20 @@ def cast(
         x: (n, gdim) contactor points (m).
         normal: (n, gdim) the contactor's outward unit normal there; tangents: (n, dim, gdim) its covariant tangents (m).
         couples: rays (m,), ascending, and facets (m,) that they may meet.
-        depth: (n,) penetration (m) beyond which a hit behind the contactor does not count, in place of the closest points.
+        counts: which hits do (m,), in place of the closest points where they are deep.
     """
     found = hits(target.shape, positions[target.facets], x, normal, *couples)
     cosine = _cosine(target, positions, found, normal)
-    opposed = (cosine < -FACING) & ~_is_beyond(found, (cosine > 0.0) & (found.d < -ITSELF * target.size_of_facets), len(x))
-    if depth is not None:
-        opposed &= found.d >= -depth[found.row]
+    opposed = (cosine < -FACING) & ~_is_beyond(
+        found, (cosine > 0.0) & (found.d < -ITSELF * target.size_of_facets), len(x)
+    )
+    if counts is not None:
+        opposed &= counts(found)
     found = found.take(opposed)
 
     nearest = _first_of_each(found.row, np.abs(found.d))
     limit = DEEP * target.size_of_facets
-    deep = nearest[found.d[nearest] < -limit] if depth is None else nearest[:0]
+    deep = nearest[found.d[nearest] < -limit] if counts is None else nearest[:0]
     if len(deep):
         rays = found.row[deep]
         outside = rays[~_is_inside(target, positions, x[rays], FACING * -found.d[deep])]

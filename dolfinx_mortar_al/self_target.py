@@ -3,7 +3,8 @@
 A point's ray leaves its facet and its neighbours on the side that they face, so that a hit in front of the point, whose
 normal opposes the ray, is another part of the surface. Behind the point the ray runs through the point's own body: what it
 meets nearer than the body's far side is an overlap, the far side itself is not. So hits behind count up to half the
-thickness of the body there, as it is now.
+thickness of the body there, as it is now; and not where the way to them has been through the body from the start, as to a hole
+beside a thick part of it.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.bodies import Bodies
-from dolfinx_mortar_al.projection import Projection, TargetPoint, dot
-from dolfinx_mortar_al.rays import DEEP, hits
+from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot
+from dolfinx_mortar_al.rays import DEEP, Hits, hits
 from dolfinx_mortar_al.roles import assign, precedes
 from dolfinx_mortar_al.search import ray_candidates
 from dolfinx_mortar_al.surface import Facets, GatheredFacets, Surface, surface_normal
@@ -29,7 +30,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
-HALF = 0.5  # of the thickness: an overlap is less than the body's far side away, however that moves in an iteration
+HALF = 0.5  # of the thickness: an overlap is less than the body's far side away, however that moves in an iteration; of the
+# length of what lies between two points: less, or as little of it now, is no stretch that matter is expected to bear
 
 
 class SelfTarget(DeformableTarget):
@@ -52,6 +54,7 @@ class SelfTarget(DeformableTarget):
         super().__init__(surface, bodies, uses_rays=True)
         self.own = self.surface.places_of(facets)
         self.role: Index = np.zeros(len(self.facets), dtype=np.int64)
+        self._own_nodes, self._own_orientation = facets.X, facets.orientation
         self._depth: Array = np.full(facets.size, DEEP * self.size)  # of a membrane, which has no thickness
         if not surface.is_membrane:
             self._thickness = _Thickness(surface.mesh, facets, bodies)
@@ -62,8 +65,26 @@ class SelfTarget(DeformableTarget):
         if self._thickness is not None:
             self._depth = HALF * self._thickness.now(self._body.u.x.array)
 
-    def depth(self, points: ContactorPoints) -> Array | None:
-        return self._depth[points.facet]
+    def counts(self, points: ContactorPoints) -> Callable[[Hits], Bool]:
+        def counts(found: Hits) -> Bool:
+            near = found.d >= -self._depth[points.facet[found.row]]
+            if self._thickness is not None:
+                behind = np.flatnonzero(near & (found.d < 0.0))
+                near[behind] = ~self._is_far_side(points, found.take(behind))
+            return np.asarray(near)
+
+        return counts
+
+    def _is_far_side(self, points: ContactorPoints, found: Hits) -> Bool:
+        """(m,) hits behind points at whose ends is the body's own matter in between: in the undeformed body the one lies
+        behind the other, and about as far away as now."""
+        nodes = self._own_nodes[points.facet[found.row]]
+        N, dN = self.surface.shape.tabulate(points.η[found.row], 1)
+        inward = -surface_normal(dN @ nodes) * self._own_orientation[points.facet[found.row], None]
+        way = combine(found.N, self.surface.X[self.facets[found.facet]]) - combine(N, nodes)
+        length = np.linalg.norm(way, axis=1)
+        into = dot(way, inward) >= HALF * length * np.linalg.norm(inward, axis=1)
+        return np.asarray(into & (-found.d >= HALF * length) & (HALF * -found.d <= length))
 
     def opposite(self, points: ContactorPoints) -> tuple[TargetPoint, Bool]:
         return self.faced(points, self.surface.X)

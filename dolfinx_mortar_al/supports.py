@@ -20,7 +20,6 @@ INSTANT = 1e-3  # of a step: a way is a line there, and what is left of its curv
 JUMPS = 1.5  # times the mean velocity over twice the time: it is halved after a jump, and the same or more without
 
 
-
 class Supports:
     """The prescribed components of a problem made of motions (collective, as all of its methods).
 

@@ -19,7 +19,7 @@ from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.closest_point import ClosestPoint, project
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine
-from dolfinx_mortar_al.rays import RayHit, cast, extend
+from dolfinx_mortar_al.rays import Hits, RayHit, cast, extend
 from dolfinx_mortar_al.search import CandidateSearch, RaySearch, candidates, ray_candidates
 from dolfinx_mortar_al.surface import Facets, Surface
 
@@ -38,13 +38,14 @@ class ContactorPoints:
 
     Attributes:
         x: (n, gdim) positions (m); normal: (n, gdim) outward unit normals; tangents: (n, dim, gdim) 𝐚₁_α (m).
-        facet: (n,) of this rank's contactor facets, the one each lies on.
+        facet: (n,) of this rank's contactor facets, the one each lies on; η: (n, dim) where on it.
     """
 
     x: Array
     normal: Array
     tangents: Array
     facet: Index
+    η: Array
 
 
 class Target(ABC):
@@ -187,11 +188,11 @@ class DeformableTarget(Target):
 
     def _cast(self, points: ContactorPoints, nodes: Array, couples: tuple[Index, Index]) -> RayHit:
         """What the points' rays meet of the facets in `couples`, with the target's nodes at `nodes` (m)."""
-        x, normal, depth = points.x, points.normal, self.depth(points)
-        return cast(self.surface, nodes, x, normal, points.tangents, couples, depth)
+        x, normal, counts = points.x, points.normal, self.counts(points)
+        return cast(self.surface, nodes, x, normal, points.tangents, couples, counts)
 
-    def depth(self, points: ContactorPoints) -> Array | None:
-        """(n,) how far behind the points (m) their rays look; None for as far as the closest points confirm."""
+    def counts(self, points: ContactorPoints) -> Callable[[Hits], NDArray[np.bool_]] | None:
+        """Which hits of the points' rays (m,) count; None for those that closest points confirm where they are deep."""
         return None
 
     def opposite(self, points: ContactorPoints) -> tuple[TargetPoint, NDArray[np.bool_]]:

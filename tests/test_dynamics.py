@@ -6,7 +6,17 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, dynamics, materials, monitors, obstacles, quasistatic
+from dolfinx_mortar_al import (
+    Body,
+    Contact,
+    ContactProblem,
+    Surface,
+    dynamics,
+    materials,
+    monitors,
+    obstacles,
+    quasistatic,
+)
 from dolfinx_mortar_al.verify.meshes import build, grid
 from dolfinx_mortar_al.verify.model import space
 from meshes.disc import RIM, Disc

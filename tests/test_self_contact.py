@@ -10,6 +10,7 @@ from scenes import LOWER_TOP, NU, UPPER_BOTTOM, E, assert_tangent, contact_of, r
 from test_step_level import turned
 
 from dolfinx_mortar_al import (
+    Body,
     Checkpoint,
     Contact,
     ContactProblem,
@@ -20,6 +21,7 @@ from dolfinx_mortar_al import (
     membrane,
     obstacles,
     quasistatic,
+    reaction,
 )
 from dolfinx_mortar_al.law import OPEN, SLIP, STICK
 from dolfinx_mortar_al.obstacles import Pose
@@ -94,6 +96,48 @@ def test_patch(dim, triangles, friction):
     closed = pair.state.status != OPEN
     assert pair.comm.allreduce(float(pair.j[closed].sum())) == pytest.approx(0.5 ** (dim - 2), rel=1e-12)
     assert np.abs(pair.state.p[closed] - 1e4).max(initial=0.0) < 1e-10 * 1e4
+
+
+# ---------------------------------------------------------------- a wall beside a thick part
+
+
+def plate_with_a_hole(touches):
+    """Sides that lean by 0.25 above and below a hole of 0.75 x 0.75 in a plate of 1.25 x 1.25 m, the hole and the outer sides
+    one surface, which `touches` itself or a plane far away; with what it is pressed by."""
+    whole = mesh.create_rectangle(MPI.COMM_WORLD, [(0.0, 0.0), (1.25, 1.25)], [10, 10], mesh.CellType.quadrilateral)
+    middle = mesh.compute_midpoints(whole, 2, np.arange(whole.topology.index_map(2).size_local, dtype=np.int32))
+    kept = np.flatnonzero(np.abs(middle[:, :2] - 0.625).max(axis=1) > 0.375).astype(np.int32)
+    domain = mesh.create_submesh(whole, 2, kept)[0]
+    x = domain.geometry.x
+    x[:, 0] += 0.25 * np.sin(np.pi * np.clip((x[:, 1] - 0.25) / 0.75, 0.0, 1.0))
+    domain.topology.create_connectivity(1, 2)
+    ends = [mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (0.0, 1.25)]
+    outer = mesh.exterior_facet_indices(domain.topology)
+    rest = np.sort(np.setdiff1d(outer, np.concatenate(ends))).astype(np.int32)
+    surface = Surface(domain, mesh.meshtags(domain, 1, rest, np.ones(len(rest), dtype=np.int32)), 1)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u, top = fem.Function(V), fem.Constant(domain, np.zeros(2))
+    bcs = [
+        fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, facets), V)
+        for value, facets in zip((np.zeros(2), top), ends, strict=True)
+    ]
+    target = () if touches else (obstacles.RigidPlane([0.0, -99.0], [0.0, 1.0]),)
+    body = Body(u, materials.neo_hookean(1e6, 0.3), bcs=bcs)
+    return ContactProblem(body, contacts=[Contact(surface, *target, friction=0.0)]), top
+
+
+def test_a_thin_wall_is_no_overlap_of_a_thick_part():
+    """A plate with a hole, pressed until the hole's corners touch: until then forces are those without contact. As its
+    sides lean, rays from their lower ends, behind which all of the plate lies at first, leave it through the hole, a
+    wall's thickness away: that counted as an overlap, and the sides were closed with nothing there to press."""
+    found = []
+    for touches in (True, False):
+        problem, top = plate_with_a_hole(touches)
+        found.append([])
+        for step in quasistatic.march(problem, top, to=(0.0, -0.25), increments=10):
+            found[-1].append((step.rejected, *reaction(problem, problem.bodies.bodies[0].bcs[1]).force))
+        assert problem.pairs[0].contact_area() == 0.0
+    assert np.allclose(*found, rtol=1e-9, atol=1e-3)
 
 
 # ---------------------------------------------------------------- a C, pressed shut
