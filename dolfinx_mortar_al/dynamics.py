@@ -206,10 +206,10 @@ class _TimeControl(Controller[Step]):
         self._drift = DriftMonitor(self.problem, now)
 
     def _admit(self) -> None:
-        """Begin with positions that contact's law over a step allows, where anything presses: those of a step from rest, as short
-        as surfaces take to swing, for which no time passes. Those of a static solution overlap a little more or less where
-        facets are closed in part, as ε is another one there, and to part them within the first step would take the more energy
-        the shorter it is."""
+        """Begin with positions that contact's law over a step allows, where anything presses: those of a step from rest, as
+        short as surfaces take to swing, for which no time passes. Those of a static solution overlap a little more or less
+        where facets are closed in part, as ε is another one there, and to part them within the first step would take the
+        more energy the shorter it is."""
         problem, before = self.problem, self.problem.snapshot()
         velocities = [motion.velocity.x.array.copy() for motion in self.motions]
         for motion in self.motions:

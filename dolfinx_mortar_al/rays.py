@@ -33,7 +33,7 @@ FACING = 0.1  # least cosine between ray and target's normal: flatter hits have 
 # penetration, in facets, beyond which the closest point must confirm a hit behind the contactor: 𝐱 is in the target, and as
 # deep as a flat one would be that the ray meets as slantingly as FACING lets it
 DEEP = 0.5
-ITSELF = 1e-6  # facets behind a point: nearer is, but for round-off, the facet that it is on, of a surface in contact with itself
+ITSELF = 1e-6  # facets behind a point: nearer is, but for round-off, the facet that it is on, where contactor is target
 BEYOND = 1.0  # how far beyond the sides of a facet at the target's end, in η, it may go on while a solve is on its way
 MAX_ITERATIONS = 12  # of Newton for the hit on a curved facet; five do, unless the ray all but touches the facet
 

@@ -3,8 +3,8 @@
 A point's ray leaves its facet and its neighbours on the side that they face, so that a hit in front of the point, whose
 normal opposes the ray, is another part of the surface. Behind the point the ray runs through the point's own body: what it
 meets nearer than the body's far side is an overlap, the far side itself is not. So hits behind count up to half the
-thickness of the body there, as it is now; and not where the way to them has been through the body from the start, as to a hole
-beside a thick part of it.
+thickness of the body there, as it is now; and not where the way to them has been through the body from the start, as to
+a hole beside a thick part of it.
 """
 
 from __future__ import annotations

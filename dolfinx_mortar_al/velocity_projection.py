@@ -10,8 +10,8 @@ multiplier's shape functions, by impulses 𝐈:
 𝐃 ≥ 0 from the open points of a multiplier's support. Where points stick, or there is no friction, 𝐇 = 𝐆: 𝐯 is the closest
 such velocity in the norm of the mass and kinetic energy can only fall, by what the impact of nodes takes. Where they slip
 impulses act along the step's traction; where a sticking point's impulse would leave Coulomb's cone it is let slip. 𝐆 and
-𝐇 are zero for rigid motions: momentum and angular momentum stay. Prescribed velocities are in 𝐯 and stay what they are: supports
-bear the impulses on them, and their columns of 𝐇 are zero.
+𝐇 are zero for rigid motions: momentum and angular momentum stay. Prescribed velocities are in 𝐯 and stay what they are:
+supports bear the impulses on them, and their columns of 𝐇 are zero.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ class Settled:
 
 @dataclass(frozen=True)
 class _Change:
-    """A solution: δ𝐯 (owned dofs,), each pair's impulses at its points (n, components) (N s/m²), the energy that impulses take
-    as conjugate to 𝐆𝐯, the kinetic energy gained, and the work of supports against impulses on them (J)."""
+    """A solution: δ𝐯 (owned dofs,), each pair's impulses at its points (n, components) (N s/m²), the energy that impulses
+    take as conjugate to 𝐆𝐯, the kinetic energy gained, and the work of supports against impulses on them (J)."""
 
     δv: Array
     impulses: list[Array]

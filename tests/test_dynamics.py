@@ -248,7 +248,7 @@ def test_what_is_at_rest_stays_so(below, order, step):
     was not that of time steps: 1 J with steps of 1e-6 s where .004 are stored, 3e-10 J on a matching mesh."""
     block = grid([np.linspace(0, 0.1, 5), np.linspace(0, 0.1, 5)], {(1, 0): 1}, simplices=True)
     axes = [np.linspace(-0.05, 0.15, below + 1), np.linspace(-0.05, 0, 3)]
-    domain, cells, tags = build([block, grid(axes, {(1, -1): 2, (1, 0): 3}, simplices=True)])
+    domain, _, tags = build([block, grid(axes, {(1, -1): 2, (1, 0): 3}, simplices=True)])
     V, u = space(domain, 2)
     weight = fem.Constant(domain, np.zeros(2))
     base = fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, tags.find(3)), V)

@@ -296,8 +296,8 @@ def test_a_hit_far_behind_is_none_where_the_point_is_hardly_in_the_target():
 
 
 def test_the_far_side_of_a_tooth_behind_a_point_is_none():
-    """A plate between y = −0.01 and −0.05, less than half a facet thick, and rays upwards: from above it the plate lies behind
-    the point and is not penetrated, from within it is."""
+    """A plate between y = −0.01 and −0.05, less than half a facet thick, and rays upwards: from above it the plate lies
+    behind the point and is not penetrated, from within it is."""
     plate, up = sheets((-0.01, 1), (-0.05, -1)), np.array([[0.0, 1.0], [0.0, 1.0]])
     at = shoot(plate, np.array([[0.45, 0.0], [0.45, -0.03]]), up)
     assert at.facing.tolist() == [False, True]
