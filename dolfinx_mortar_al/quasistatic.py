@@ -298,7 +298,7 @@ def _solve(problem: ContactProblem, solver: NewtonSolver, path: Path | None = No
 def _judged(problem: ContactProblem, result: NewtonResult) -> Attempt:
     """An attempt that ended so; a fatal finding of a monitor counts as a failure."""
     findings = problem.findings() if result.converged else []
-    if result.converged and result.unstable and not problem.floating:  # neutral, where nothing resists a slide
+    if result.converged and _is_unstable(problem, result):
         findings.append(UNSTABLE)
     fatal = [str(f) for f in findings if f.fatal]
     if fatal:
@@ -306,6 +306,14 @@ def _judged(problem: ContactProblem, result: NewtonResult) -> Attempt:
     cut = stepping.CUT if result.residual < NO_PROGRESS else CUT_WITHOUT_PROGRESS
     message = "; ".join(fatal) or result.message
     return Attempt(result.converged and not fatal, result, message, findings, cut)
+
+
+def _is_unstable(problem: ContactProblem, result: NewtonResult) -> bool:
+    """Whether bodies would leave a converged state. The sign of a determinant tells that of bodies that supports hold; of
+    those that contact alone holds, where it is round-off's if nothing resists a slide, what resists their motions does."""
+    if not problem.floating:
+        return result.unstable
+    return problem.ties is not None and problem.ties.is_unstable
 
 
 class _LoadControl(Controller[Step]):

@@ -33,7 +33,7 @@ Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 STIFFNESS = 0.1  # of a tie, as a share of what a piece resists a deformation of its own size with
-NEUTRAL = 0.1  # share of a tie below which what resists a motion leaves it free
+NEUTRAL = 0.1  # share of a tie below which what resists a motion leaves it free, and with the other sign drives it on
 DEFORMS = 0.1  # of a motion, root mean square: where bodies deform by more, their stiffness resists,
 GEOMETRIC = 3.0  # unless it is less than so many times the contact forces over the piece's size, as flat zones resist
 RUBS = (
@@ -118,6 +118,11 @@ class Ties:
     def acts(self) -> bool:
         """Whether anything is tied."""
         return len(self.motions) > 0
+
+    @property
+    def is_unstable(self) -> bool:
+        """Whether the last equilibrium is one that a piece would leave, along a motion that it is driven on in."""
+        return bool(np.linalg.eigvalsh((self.resistance + self.resistance.T) / 2)[0] < -NEUTRAL)
 
     def _by_piece(self, values: Array) -> Array:
         """(pieces, ...) sums of nodal values (owned nodes, ...) of this rank."""
