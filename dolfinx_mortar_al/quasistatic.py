@@ -144,7 +144,7 @@ def march(
         begin = 0.0 if start is None else validation.number("start", start, least=0.0, most=float(len(legs)))
     else:
         legs, begin = _legs(problem, [Stage(load, to, increments)], start), 0.0  # type: ignore[arg-type]
-    agreed(problem.comm, "start", begin)
+    agreed(problem.comm, "start, smallest", (begin, smallest))
     control = _LoadControl(problem, stepping.solver_of(problem, solver), legs, begin, smallest, event)
     return March(_steps(control, progress), problem.comm.rank)
 
@@ -189,7 +189,7 @@ def follow(
     if not moved.is_number:
         raise ValueError(f"load: {type(load).__name__} of several components; the unknown load of a path is one number")
     begin = None if start is None else validation.number("start", start)
-    agreed(problem.comm, "first, length, steps, start", (first, length, steps, begin))
+    agreed(problem.comm, "first, length, steps, start, smallest", (first, length, steps, begin, smallest))
     control = _PathControl(problem, stepping.solver_of(problem, solver), moved, first, length, steps, smallest, event)
     return March(_follow(control, begin, progress), problem.comm.rank)
 
@@ -262,6 +262,7 @@ class _Leg:
 def _legs(problem: ContactProblem, stages: Sequence[Stage], start: float | None) -> list[_Leg]:
     """The stages, checked (collective); `start` is the value of the first one's load, if another than it remembers."""
     legs: list[_Leg] = []
+    agreed(problem.comm, "load: how many stages", len(stages))
     for k, stage in enumerate(stages):
         where = f"stages[{k}]: " if len(stages) > 1 else ""
         load = _load_of(problem, stage.load, f"{where}load")

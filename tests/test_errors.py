@@ -618,7 +618,7 @@ def squares():
 
 @pytest.mark.several_ranks
 @pytest.mark.parametrize(
-    "what", ["bcs", "bcs of a Body", "contacts", "material", "external", "tag", "quadrature", "rtol"]
+    "what", ["bcs", "bcs of a Body", "bodies", "contacts", "material", "external", "tag", "quadrature", "rtol", "calls"]
 )
 def test_what_one_rank_alone_makes_otherwise(what):
     """Conditions only where there are nodes of them, numbers drawn on each rank: refused before ranks wait for each other."""
@@ -630,6 +630,10 @@ def test_what_one_rank_alone_makes_otherwise(what):
     makes = {
         "bcs": (lambda: ContactProblem(law.virtual_work(lower), lower, bcs=[clamp] if here else []), "bcs: how many"),
         "bcs of a Body": (lambda: Body(lower, law, bcs=[clamp] if here else []), "bcs: how many: 1 on rank 0, 0 on"),
+        "bodies": (
+            lambda: ContactProblem(bodies if here else bodies[::-1], contacts=[pair]),
+            r"F: the bodies' order, .*: \[0, 1\] on rank 0, \[1, 0\] on rank 1",
+        ),
         "contacts": (lambda: ContactProblem(bodies, contacts=[pair] if here else []), "contacts: how many"),
         "material": (
             lambda: ContactProblem(Body(lower, materials.neo_hookean(1.0 + rank, 0.3))),
@@ -648,10 +652,64 @@ def test_what_one_rank_alone_makes_otherwise(what):
             "quadrature_degree of the contact 'contact': 4 on rank 0",
         ),
         "rtol": (lambda: NewtonSolver(ContactProblem(bodies), rtol=1e-9 * (1 + rank)), "rtol, max_iterations"),
+        "calls": (
+            lambda: Body(lower, law, bcs=[clamp]) if here else NewtonSolver(whole),
+            "ranks are at different calls: 'bcs: how many' is looked at on rank 0, 'rtol, max_iterations of a NewtonSolver'",
+        ),
     }
+    whole = ContactProblem(bodies) if what == "calls" else None
     make, words = makes[what]
     with pytest.raises(ValueError, match=words):
         make()
+
+
+@pytest.mark.several_ranks
+def test_a_march_that_is_another_on_one_rank():
+    """Refused at the call, before ranks wait for each other."""
+    here = MPI.COMM_WORLD.rank == 0
+    problem, P = beams(order=1)
+    moving = ContactProblem(dynamics.Motion(Body(problem.u, materials.neo_hookean(1.0, 0.3), density=1.0), step=1e-3))
+    event, solver = (lambda: False) if here else None, NewtonSolver(problem)
+
+    def march(load=P, to=1.0, increments=1, **options):
+        return quasistatic.march(problem, load, to=to, increments=increments, **options)
+
+    def follow(**options):
+        return quasistatic.follow(problem, P, first=1.0, length=0.1, steps=1, **options)
+
+    stages = [quasistatic.Stage(P, 1.0, 1, until=event), quasistatic.Stage(P, 2.0, 1)]
+    smallest = 0.1 if here else 0.2
+    for make, words in [
+        (lambda: march(until=event), "until: whether it is passed: True on rank 0, False on rank 1"),
+        (lambda: march(stages, None, None), "until: whether it is passed"),
+        (lambda: follow(until=event), "until: whether it is passed"),
+        (lambda: dynamics.march(moving, to=1.0, until=event), "until: whether it is passed"),
+        (lambda: march(stages[1:] * (1 + here), None, None), "load: how many stages: 2 on rank 0, 1 on rank 1"),
+        (lambda: march(solver=solver if here else None), "solver: whether it is passed"),
+        (lambda: march(smallest=smallest), r"smallest: \(0\.0, 0\.1\) on rank 0"),
+        (lambda: follow(smallest=smallest), "smallest: .* on rank 0"),
+        (lambda: dynamics.march(moving, to=1.0, smallest=smallest), "smallest, Δt: .* on rank 0"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            make()
+
+
+@pytest.mark.several_ranks
+@pytest.mark.parametrize("argument", ["directory", "columns", "paraview", "resume", "checkpoint"])
+def test_a_run_that_is_another_on_one_rank(shared_path, argument):
+    here = MPI.COMM_WORLD.rank == 0
+    problem, _ = beams(order=1)
+    columns = ["load", "newton_iterations", "wall_time"]
+    alike = {"directory": shared_path, "columns": columns, "paraview": False, "resume": None, "checkpoint": False}
+    other = {
+        "directory": shared_path / "b",
+        "columns": columns[::-1],
+        "paraview": True,
+        "resume": 1.0,
+        "checkpoint": True,
+    }
+    with pytest.raises(ValueError, match=rf"{argument}: .* on rank 0, .* on rank 1; must be the same on all ranks"):
+        output.Run(problem, parameters={}, **(alike if here else alike | {argument: other[argument]}))
 
 
 def test_forms_over_another_mesh():
