@@ -149,6 +149,18 @@ def test_unsuitable_spaces(domain, order, shape, words):
         problem_on(domain, pair(domain), order, shape)
 
 
+def test_a_mesh_of_order_three():
+    """No order of u is both allowed and as high."""
+    comm = MPI.COMM_WORLD
+    element = basix.ufl.element("Lagrange", "interval", 3, shape=(2,))
+    line = np.array([[0.0, 0.0], [1.0, 0.0], [1 / 3, 0.0], [2 / 3, 0.0]])
+    root = comm.rank == 0
+    curve = mesh.create_mesh(comm, cells=np.arange(4)[None][: 1 * root], x=line[: 4 * root], e=ufl.Mesh(element))
+    u = fem.Function(fem.functionspace(curve, ("Lagrange", 2, (2,))))
+    with pytest.raises(ValueError, match="a mesh of order 3, and u has order 1 or 2; mesh with order 2 at most"):
+        ContactProblem(ufl.inner(u, ufl.TestFunction(u.function_space)) * ufl.dx, u)
+
+
 def test_a_mesh_of_the_wrong_dimension():
     """A curve in space is neither a body nor a membrane."""
     comm = MPI.COMM_WORLD
