@@ -529,6 +529,34 @@ def test_what_is_changed_between_steps_to_no_number(name, words, wrong):
         next(quasistatic.march(given["problem"], given["P"], to=1.0, increments=1))
 
 
+def test_a_refused_end_leaves_the_load_as_it_was():
+    march, given = pulled_square()
+    march.close()
+    problem, pull = given["problem"], given["pull"]
+    there = fem.Function(pull.function_space, name="there")
+    there.x.array[-1] = np.inf
+    for to, words in [
+        (lambda x: np.where(x[:2] > 0.6, np.nan, 0.1), "to = .*lambda"),
+        (there, "to = Function 'there'"),
+    ]:
+        with pytest.raises(ValueError, match=rf"{words}.*: some of its values are not finite"):
+            quasistatic.march(problem, pull, to=to, increments=1)
+        assert np.all(pull.x.array == 0.0)
+    assert len(list(quasistatic.march(problem, pull, to=lambda x: 0.01 + 0.0 * x[:2], increments=1))) == 1
+
+
+def test_a_path_as_the_start_of_several_components():
+    """That of stages is a path, of a single load its value."""
+    march, given = pulled_square()
+    march.close()
+    problem, top = given["problem"], given["top"]
+    for load, to in ((top, (0.0, 0.01)), (given["pull"], lambda x: 0.01 + 0.0 * x[:2])):
+        with pytest.raises(ValueError, match=r"start = 0\.0: the load has several .* pass the load as Stage\(load, to"):
+            quasistatic.march(problem, load, to=to, increments=1, start=0.0)
+    steps = list(quasistatic.march(problem, quasistatic.Stage(top, (0.0, 0.01), 2), start=0.0))
+    assert [step.path for step in steps] == [0.5, 1.0]
+
+
 def test_a_mesh_that_is_moved_after_the_problem_was_made():
     march, given = pulled_square()
     next(march)
