@@ -30,6 +30,7 @@ from dolfinx_mortar_al import (
     obstacles,
     output,
     quasistatic,
+    reaction,
     read_msh,
 )
 from dolfinx_mortar_al.monitors import Finding, Reporter
@@ -732,6 +733,22 @@ def test_a_march_that_is_another_on_one_rank():
     ]:
         with pytest.raises(ValueError, match=words):
             make()
+
+
+@pytest.mark.several_ranks
+def test_a_reaction_of_another_support_on_one_rank():
+    here, law = MPI.COMM_WORLD.rank == 0, materials.neo_hookean(1.0, 0.3)
+    (lower, (base, top)), _ = squares()
+    V = lower.function_space
+    first, other, foreign = (
+        fem.dirichletbc(np.zeros(2), fem.locate_dofs_geometrical(V, where), V)
+        for where in (on_the_left, on_top, on_the_left)
+    )
+    problem = ContactProblem(Body(lower, law, bcs=[first, other]))
+    for at, elsewhere in [(first, other), (base, top), (first, base), (first, foreign)]:
+        with pytest.raises(ValueError, match=r"^at: '.*u\[0\]' on rank 0, .* on rank 1; must be the same"):
+            reaction(problem, at if here else elsewhere)
+    assert np.array_equal(reaction(problem, first).force, np.zeros(2))
 
 
 @pytest.mark.several_ranks
