@@ -182,7 +182,8 @@ class Bodies:
     Raises:
         ValueError: on every rank: a displacement that is not Lagrange of order 1 or 2 with gdim components, a mesh of
             another dimension than gdim or gdim − 1 or of higher order than u, bodies in spaces of different dimension,
-            a condition on a space of no body, or as many residuals as there are not displacements.
+            a condition on a space of no body, as many residuals as there are not displacements, or another order of bodies on
+            some ranks.
     """
 
     def __init__(
