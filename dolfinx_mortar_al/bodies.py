@@ -24,7 +24,7 @@ from dolfinx_mortar_al.membrane import area_stretch
 from dolfinx_mortar_al.moduli import yielding_share
 from dolfinx_mortar_al.petsc_blocks import Layout
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
-from dolfinx_mortar_al.ranks import agreed
+from dolfinx_mortar_al.ranks import agreed, agreed_on_group
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.validation import check_cells, check_residual, check_space, compiled, listed
 from dolfinx_mortar_al.versions import whole_form
@@ -182,7 +182,8 @@ class Bodies:
     Raises:
         ValueError: on every rank: a displacement that is not Lagrange of order 1 or 2 with gdim components, a mesh of
             another dimension than gdim or gdim − 1 or of higher order than u, bodies in spaces of different dimension,
-            a condition on a space of no body, or as many residuals as there are not displacements.
+            a condition on a space of no body, as many residuals as there are not displacements, or another order of bodies on
+            some ranks.
     """
 
     def __init__(
@@ -200,16 +201,17 @@ class Bodies:
         if any(V.mesh.geometry.dim != self.gdim for V in spaces):
             raise ValueError(f"u: bodies in spaces of dimension {[V.mesh.geometry.dim for V in spaces]}")
         self.comm: MPI.Intracomm = spaces[0].mesh.comm
-        bcs = listed("bcs", bcs, fem.DirichletBC, "a Dirichlet condition")
-        agreed(self.comm, "bcs: how many", len(bcs))
-        own = [[bc for bc in bcs if V._cpp_object.contains(bc.function_space)] for V in spaces]
-        if sum(map(len, own)) != len(bcs):
-            raise ValueError("bcs: a Dirichlet condition is on a space of none of the displacements u")
         for V in spaces[1:]:
             if MPI.Comm.Compare(V.mesh.comm, self.comm) not in (MPI.IDENT, MPI.CONGRUENT):
                 raise ValueError(
                     f"u: bodies on communicators of {self.comm.size} and {V.mesh.comm.size} ranks; make all meshes on one"
                 )
+        agreed_on_group(self.comm, "F: the bodies' order, by when their meshes were made", _order(spaces))
+        bcs = listed("bcs", bcs, fem.DirichletBC, "a Dirichlet condition")
+        agreed(self.comm, "bcs: how many", len(bcs))
+        own = [[bc for bc in bcs if V._cpp_object.contains(bc.function_space)] for V in spaces]
+        if sum(map(len, own)) != len(bcs):
+            raise ValueError("bcs: a Dirichlet condition is on a space of none of the displacements u")
         forms, seen = (given or [None] * len(spaces) for given in (jacobians, foreseen))
         self.bodies = [BodyForms(*parts) for parts in zip(residuals, displacements, own, forms, seen, strict=True)]
         for u in displacements:
@@ -524,3 +526,9 @@ class Bodies:
         scale.array[:] = np.sqrt(scale.array_r / np.where(own.array_r > 0, own.array_r, np.inf))
         total.diagonalScale(scale, scale)
         return total
+
+
+def _order(spaces: Sequence[fem.FunctionSpace]) -> list[int]:
+    """The place of each space's mesh in the order in which they were made, which is that of all ranks: it is collective."""
+    made = [V.mesh.ufl_domain().ufl_id() for V in spaces]
+    return [sorted(set(made)).index(number) for number in made]

@@ -121,8 +121,8 @@ def march(
     to = validation.number("to", to, above=start, must="the end of the march must be")
     if tolerance is not None:
         tolerance = validation.number("tolerance", tolerance, above=0.0)
-    said = (start, to, tolerance, [float(motion.time_step.value) for motion in motions])
-    agreed(problem.comm, "start, to, tolerance, Δt", said)
+    said = (start, to, tolerance, smallest, [float(motion.time_step.value) for motion in motions])
+    agreed(problem.comm, "start, to, tolerance, smallest, Δt", said)
     steps = sorted({float(motion.time_step.value) for motion in motions})
     if len(steps) > 1:
         raise ValueError(f"step = {steps}: all motions of a problem need the same Δt")

@@ -18,6 +18,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.ranks import together
+from dolfinx_mortar_al.reductions import any_over
 from dolfinx_mortar_al.validation import check_callable, check_scalar, number
 
 __all__ = ["Load", "Loads", "Movable"]
@@ -140,6 +141,9 @@ class _FunctionLoad(Load):
             aim.x.scatter_forward()
         elif to.function_space != V:
             raise ValueError(f"{name}: a Function of another space than the load's")
+        if any_over(V.mesh.comm, not np.isfinite(aim.x.array).all()):
+            said = f"Function {to.name!r}" if isinstance(to, fem.Function) else to
+            raise ValueError(f"{name} = {said}: some of its values are not finite; give it finite numbers")
         return np.array(aim.x.array, dtype=np.float64)
 
 

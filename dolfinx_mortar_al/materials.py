@@ -34,6 +34,9 @@ SMALL_STRAIN = 1e-5  # change of 𝐂 where the rest of a discrete gradient, by 
 TINY_STRAIN = 1e-30  # where its quotient is 0/0
 # Λ/G from which a strain of .4 in a step, by Λ .4²/2, brings a pressure near G, and Newton was seen to save iterations
 STIFF_IN_VOLUME = 10.0
+# 1 − 2ν down to which forces keep about eight digits: round-off of volume strains times Λ was seen to be 1e-16/(1 − 2ν) of
+# them, times 1 at strains of .05 and times 100 at .001
+LEAST_COMPRESSIBILITY = 1e-6
 SERIES = 0.05  # up to which six terms give artanh z − z to round-off
 
 
@@ -62,12 +65,17 @@ def lame(E: Any, ν: Any) -> tuple[Any, Any]:
     """Lamé's (G, Λ) in Pa from Young's modulus E (Pa) and Poisson's ratio ν: numbers, or UFL such as a Constant.
 
     Raises:
-        ValueError: on numbers out of range; a UFL expression has none to look at.
+        ValueError: on numbers out of range, or ν so near 0.5 that forces are round-off; a UFL expression has none to look at.
     """
     if not is_ufl("E", constant_value(E, "E")):
         number("E", constant_value(E), above=0.0, must="Young's modulus (Pa) must be")
     if not is_ufl("nu", constant_value(ν, "nu")):
-        number("nu", constant_value(ν), above=-1.0, below=0.5, must="Poisson's ratio must be")
+        ratio = number("nu", constant_value(ν), above=-1.0, below=0.5, must="Poisson's ratio must be")
+        if 1 - 2 * ratio < LEAST_COMPRESSIBILITY:
+            raise ValueError(
+                f"nu = {ratio}: 1 − 2ν = {1 - 2 * ratio:.1e} is below {LEAST_COMPRESSIBILITY:g}, where round-off takes the "
+                "digits of forces; take 0.4999, which is incompressible for all practical purposes"
+            )
     return E / (2 * (1 + ν)), E * ν / ((1 + ν) * (1 - 2 * ν))
 
 

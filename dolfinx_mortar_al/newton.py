@@ -109,7 +109,7 @@ class NewtonSolver:
         check_problem(problem)
         self.problem, self.rtol = problem, number("rtol", rtol, above=0.0, below=1.0)
         self._max_iterations, self._prefix = whole("max_iterations", max_iterations, least=1), prefix
-        agreed(problem.comm, "rtol, max_iterations", (self.rtol, self._max_iterations))
+        agreed(problem.comm, "rtol, max_iterations of a NewtonSolver", (self.rtol, self._max_iterations))
         self.linear = LinearSolver(problem, prefix)
         self.contact_iteration = ContactIteration(problem, self.linear, self._size, LONGEST)
         self._bounds = FrictionBounds(problem)

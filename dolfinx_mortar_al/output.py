@@ -21,7 +21,7 @@ from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.contact_fields import ContactorFunctions
 from dolfinx_mortar_al.picture import picture
 from dolfinx_mortar_al.problem import ContactProblem, check_problem
-from dolfinx_mortar_al.ranks import on_root, together
+from dolfinx_mortar_al.ranks import agreed, on_root, together
 from dolfinx_mortar_al.validation import check_columns, number, path_of, vector
 
 __all__ = ["History", "ParaView", "Probe", "Run", "deformed_cells", "extent", "picture", "summary"]
@@ -255,6 +255,11 @@ class Run:
 
     Attributes:
         start: load, time or path of the problem's state, 0 at its start; ledger: of a dynamic run that goes on.
+
+    Raises:
+        OSError, RuntimeError: on every rank, if something cannot be written.
+        ValueError: on every rank: unsuitable `columns` (:class:`History`), a checkpoint of another problem, or an argument
+            but `parameters` that differs between ranks.
     """
 
     def __init__(
@@ -267,18 +272,29 @@ class Run:
         resume: float | None = None,
         checkpoint: bool = False,
     ) -> None:
-        missing = [name for name in FROM_STEPS if name not in check_columns(columns)]
+        check_problem(problem)
+        names, directory = check_columns(columns), path_of("directory", directory)
+        resume = None if resume is None else number("resume", resume)
+        missing = [name for name in FROM_STEPS if name not in names]
         if missing:
             raise ValueError(
                 f"columns = {columns}: {' and '.join(missing)} of each step will be filled in; name them, too"
             )
+        for name, value in {
+            "directory": str(directory),
+            "columns": names,
+            "paraview": bool(paraview),
+            "resume": resume,
+            "checkpoint": bool(checkpoint),
+        }.items():
+            agreed(problem.comm, name, value)
         self._checkpoint = Checkpoint(directory, problem) if checkpoint else None
         saved = None if self._checkpoint is None else self._checkpoint.load()
         if saved is not None:
             resume = saved.at
         self.start, self.ledger = resume or 0.0, None if saved is None else saved.ledger
-        self.problem, self.directory, self.parameters = problem, path_of("directory", directory), dict(parameters)
-        self.history = History(problem, directory, columns, resume)
+        self.problem, self.directory, self.parameters = problem, directory, dict(parameters)
+        self.history = History(problem, directory, names, resume)
         self._paraview = ParaView(problem, directory, resume) if paraview else None
         self._rejected = 0
 

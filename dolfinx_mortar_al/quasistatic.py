@@ -116,8 +116,8 @@ def march(
         problem: to solve.
         load: what to move, see :class:`Stage`; or stages, one after the other.
         to, increments: see :class:`Stage`; of a single load.
-        start: of a single load its value in the problem's present state, if another than it remembers; of stages the
-            `path` of the step to go on from, such as the `start` of an `output.Run` with a checkpoint, whose loads stand
+        start: of a single load its value in the problem's present state, if another than it remembers; of a Stage or stages
+            the `path` of the step to go on from, such as the `start` of an `output.Run` with a checkpoint, whose loads stand
             where they were then.
         solver: default a new :class:`~dolfinx_mortar_al.newton.NewtonSolver`.
         smallest: increment, relative to the asked-for one, below which the march gives up.
@@ -144,7 +144,7 @@ def march(
         begin = 0.0 if start is None else validation.number("start", start, least=0.0, most=float(len(legs)))
     else:
         legs, begin = _legs(problem, [Stage(load, to, increments)], start), 0.0  # type: ignore[arg-type]
-    agreed(problem.comm, "start", begin)
+    agreed(problem.comm, "start, smallest", (begin, smallest))
     control = _LoadControl(problem, stepping.solver_of(problem, solver), legs, begin, smallest, event)
     return March(_steps(control, progress), problem.comm.rank)
 
@@ -189,7 +189,7 @@ def follow(
     if not moved.is_number:
         raise ValueError(f"load: {type(load).__name__} of several components; the unknown load of a path is one number")
     begin = None if start is None else validation.number("start", start)
-    agreed(problem.comm, "first, length, steps, start", (first, length, steps, begin))
+    agreed(problem.comm, "first, length, steps, start, smallest", (first, length, steps, begin, smallest))
     control = _PathControl(problem, stepping.solver_of(problem, solver), moved, first, length, steps, smallest, event)
     return March(_follow(control, begin, progress), problem.comm.rank)
 
@@ -262,13 +262,14 @@ class _Leg:
 def _legs(problem: ContactProblem, stages: Sequence[Stage], start: float | None) -> list[_Leg]:
     """The stages, checked (collective); `start` is the value of the first one's load, if another than it remembers."""
     legs: list[_Leg] = []
+    agreed(problem.comm, "load: how many stages", len(stages))
     for k, stage in enumerate(stages):
         where = f"stages[{k}]: " if len(stages) > 1 else ""
         load = _load_of(problem, stage.load, f"{where}load")
         increments = validation.whole(f"{where}increments", stage.increments, least=1)
         leg = _Leg(problem, load, load.end(f"{where}to", stage.to), increments, Event(problem.comm, stage.until))
         if start is not None:
-            leg.start = load.end("start", start)
+            leg.start = _start_of(load, start)
         # of a Function each rank has a part
         begin, end = (None, None) if isinstance(load.source, fem.Function) else (load.value.tolist(), leg.end.tolist())
         agreed(problem.comm, f"{where}start, to, increments", (start, end, increments))
@@ -280,6 +281,20 @@ def _legs(problem: ContactProblem, stages: Sequence[Stage], start: float | None)
             raise ValueError(f"{where}to = {stage.to}: the load must move away from its present value{at}")
         legs.append(leg)
     return legs
+
+
+def _start_of(load: Load, start: Any) -> Array:
+    """(components,) of the value that a single load is said to have.
+
+    Raises:
+        ValueError: if it is no value of this load.
+    """
+    if isinstance(start, int | float | np.number) and not load.is_number:
+        raise ValueError(
+            f"start = {start}: the load has several components, and start is its value; pass the load as "
+            "Stage(load, to, increments) for start to be the path to go on from, such as that of an output.Run"
+        )
+    return load.end("start", start)
 
 
 def _alike(problem: ContactProblem, a: Array, b: Array) -> bool:

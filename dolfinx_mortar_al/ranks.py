@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 from mpi4py import MPI
 
-__all__ = ["agreed", "end_together", "on_root", "share_out_alike", "together"]
+__all__ = ["agreed", "agreed_on_group", "end_together", "on_root", "share_out_alike", "together"]
 
 Result = TypeVar("Result")
 
@@ -65,18 +65,40 @@ def together(comm: MPI.Comm, action: Callable[[], Result]) -> Result:
 
 
 def agreed(comm: MPI.Comm, name: str, value: Any) -> None:
-    """Refuse a value that is not the same on all ranks (collective).
+    """Refuse a value that is not the same on all ranks, and ranks that compare different ones (collective).
 
     Raises:
         ValueError: on every rank.
     """
-    said = comm.allgather(repr(value))
+    names, said = zip(*comm.allgather((name, repr(value))), strict=True)
+    for rank, other in enumerate(names):
+        if other != names[0]:
+            raise ValueError(
+                f"ranks are at different calls: {names[0]!r} is looked at on rank 0, {other!r} on rank {rank}; make the same "
+                "calls in the same order on all ranks"
+            )
     for rank, other in enumerate(said):
         if other != said[0]:
             raise ValueError(
-                f"{name}: {said[0]} on rank 0, {other} on rank {rank}; must be the same on all ranks: compute it "
-                "from values that all ranks have (comm.allreduce, comm.bcast)"
+                f"{name}: {said[0]} on rank 0, {other} on rank {rank}; must be the same on all ranks: pass the "
+                "same on each, made from values that all have (comm.allreduce, comm.bcast)"
             )
+
+
+def agreed_on_group(comm: MPI.Intracomm, name: str, value: Any) -> None:
+    """As :func:`agreed`, where ranks may have named different communicators of the same ranks: each mesh has its own, and
+    ranks that begin with different ones would wait for ever (collective).
+
+    Raises:
+        ValueError: on every rank.
+    """
+    group = comm.Get_group()
+    common = MPI.COMM_WORLD.Create_group(group)
+    try:
+        agreed(common, name, value)
+    finally:
+        common.Free()
+        group.Free()
 
 
 def _portable(error: Exception | None) -> Exception | None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.bodies import BodyForms
 from dolfinx_mortar_al.problem import ContactProblem, check_problem
+from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.surface import Facets, Surface
 from dolfinx_mortar_al.validation import vector
@@ -44,10 +45,11 @@ def reaction(
         about: point of the moment (m), default the origin; nodes are where they have moved to.
 
     Raises:
-        ValueError: on every rank: a condition that is none of the problem's, a surface on which nothing is prescribed, or
-            what is neither.
+        ValueError: on every rank: a condition that is none of the problem's, a surface on which nothing is prescribed, what
+            is neither, or another `at` on some ranks.
     """
     check_problem(problem)
+    agreed(problem.comm, "at", _words(problem, at))
     d = problem.gdim
     origin = np.zeros(d) if about is None else vector("about", about, d)
     if isinstance(at, fem.DirichletBC):
@@ -62,6 +64,17 @@ def reaction(
     spin = arm[:, 0] * R[:, 1] - arm[:, 1] * R[:, 0] if d == 2 else np.cross(arm, R)
     total = sum_over(problem.comm, np.concatenate([R.sum(axis=0), np.atleast_1d(spin.sum(axis=0))]))
     return Reaction(total[:d], total[d:])
+
+
+def _words(problem: ContactProblem, at: fem.DirichletBC | Surface) -> str:
+    """What a support is, alike on all ranks."""
+    for k, body in enumerate(problem.bodies.bodies):
+        for j, bc in enumerate(body.bcs):
+            if bc is at:
+                return f"the Dirichlet condition {j} of u[{k}]"
+        if isinstance(at, Surface) and at.mesh is body.mesh:
+            return f"the surface of tag {at.tag} of u[{k}]"
+    return type(at).__name__
 
 
 def _of_condition(problem: ContactProblem, bc: fem.DirichletBC) -> tuple[BodyForms, Array]:

@@ -236,8 +236,9 @@ def solver_of(problem: ContactProblem, solver: NewtonSolver | None, **options: A
     """The solver that was passed, or one with these options.
 
     Raises:
-        ValueError: if it is none, or that of another problem.
+        ValueError: if it is none, that of another problem, or passed on some ranks only.
     """
+    agreed(problem.comm, "solver: whether it is passed", solver is not None)
     if solver is None:
         return NewtonSolver(problem, **options)
     if not isinstance(solver, NewtonSolver):
@@ -255,10 +256,11 @@ class Event:
         until: whether it has happened, asked in converged states; None never happens.
 
     Raises:
-        ValueError: if it is no function.
+        ValueError: if it is no function, or passed on some ranks only.
     """
 
     def __init__(self, comm: MPI.Comm, until: Callable[[], bool] | None) -> None:
+        agreed(comm, "until: whether it is passed", until is not None)
         if until is not None and not (callable(until) and takes(until)):
             raise ValueError(f"until = {until!r}: pass a function without arguments, such as pair.reaches_end")
         self._comm, self._until = comm, until

@@ -494,6 +494,10 @@ def check_space(u: fem.Function) -> None:
         )
     if element.family.name != "P" or element.degree not in (1, 2) or element.discontinuous:
         raise ValueError(f"u: {V.ufl_element()} is not a continuous Lagrange element of order 1 or 2")
+    if geometry_degree(domain) > 2:
+        raise ValueError(
+            f"u: on a mesh of order {geometry_degree(domain)}, and u has order 1 or 2; mesh with order 2 at most"
+        )
     if geometry_degree(domain) > element.degree:
         raise ValueError(
             f"u has order {element.degree} on a mesh of order {geometry_degree(domain)}: "

@@ -30,6 +30,7 @@ from dolfinx_mortar_al import (
     obstacles,
     output,
     quasistatic,
+    reaction,
     read_msh,
 )
 from dolfinx_mortar_al.monitors import Finding, Reporter
@@ -147,6 +148,18 @@ def test_a_surface_of_another_mesh(domain):
 def test_unsuitable_spaces(domain, order, shape, words):
     with pytest.raises(ValueError, match=words):
         problem_on(domain, pair(domain), order, shape)
+
+
+def test_a_mesh_of_order_three():
+    """No order of u is both allowed and as high."""
+    comm = MPI.COMM_WORLD
+    element = basix.ufl.element("Lagrange", "interval", 3, shape=(2,))
+    line = np.array([[0.0, 0.0], [1.0, 0.0], [1 / 3, 0.0], [2 / 3, 0.0]])
+    root = comm.rank == 0
+    curve = mesh.create_mesh(comm, cells=np.arange(4)[None][: 1 * root], x=line[: 4 * root], e=ufl.Mesh(element))
+    u = fem.Function(fem.functionspace(curve, ("Lagrange", 2, (2,))))
+    with pytest.raises(ValueError, match="a mesh of order 3, and u has order 1 or 2; mesh with order 2 at most"):
+        ContactProblem(ufl.inner(u, ufl.TestFunction(u.function_space)) * ufl.dx, u)
 
 
 def test_a_mesh_of_the_wrong_dimension():
@@ -517,6 +530,34 @@ def test_what_is_changed_between_steps_to_no_number(name, words, wrong):
         next(quasistatic.march(given["problem"], given["P"], to=1.0, increments=1))
 
 
+def test_a_refused_end_leaves_the_load_as_it_was():
+    march, given = pulled_square()
+    march.close()
+    problem, pull = given["problem"], given["pull"]
+    there = fem.Function(pull.function_space, name="there")
+    there.x.array[-1] = np.inf
+    for to, words in [
+        (lambda x: np.where(x[:2] > 0.6, np.nan, 0.1), "to = .*lambda"),
+        (there, "to = Function 'there'"),
+    ]:
+        with pytest.raises(ValueError, match=rf"{words}.*: some of its values are not finite"):
+            quasistatic.march(problem, pull, to=to, increments=1)
+        assert np.all(pull.x.array == 0.0)
+    assert len(list(quasistatic.march(problem, pull, to=lambda x: 0.01 + 0.0 * x[:2], increments=1))) == 1
+
+
+def test_a_path_as_the_start_of_several_components():
+    """That of stages is a path, of a single load its value."""
+    march, given = pulled_square()
+    march.close()
+    problem, top = given["problem"], given["top"]
+    for load, to in ((top, (0.0, 0.01)), (given["pull"], lambda x: 0.01 + 0.0 * x[:2])):
+        with pytest.raises(ValueError, match=r"start = 0\.0: the load has several .* pass the load as Stage\(load, to"):
+            quasistatic.march(problem, load, to=to, increments=1, start=0.0)
+    steps = list(quasistatic.march(problem, quasistatic.Stage(top, (0.0, 0.01), 2), start=0.0))
+    assert [step.path for step in steps] == [0.5, 1.0]
+
+
 def test_a_mesh_that_is_moved_after_the_problem_was_made():
     march, given = pulled_square()
     next(march)
@@ -618,7 +659,7 @@ def squares():
 
 @pytest.mark.several_ranks
 @pytest.mark.parametrize(
-    "what", ["bcs", "bcs of a Body", "contacts", "material", "external", "tag", "quadrature", "rtol"]
+    "what", ["bcs", "bcs of a Body", "bodies", "contacts", "material", "external", "tag", "quadrature", "rtol", "calls"]
 )
 def test_what_one_rank_alone_makes_otherwise(what):
     """Conditions only where there are nodes of them, numbers drawn on each rank: refused before ranks wait for each other."""
@@ -630,6 +671,10 @@ def test_what_one_rank_alone_makes_otherwise(what):
     makes = {
         "bcs": (lambda: ContactProblem(law.virtual_work(lower), lower, bcs=[clamp] if here else []), "bcs: how many"),
         "bcs of a Body": (lambda: Body(lower, law, bcs=[clamp] if here else []), "bcs: how many: 1 on rank 0, 0 on"),
+        "bodies": (
+            lambda: ContactProblem(bodies if here else bodies[::-1], contacts=[pair]),
+            r"F: the bodies' order, .*: \[0, 1\] on rank 0, \[1, 0\] on rank 1",
+        ),
         "contacts": (lambda: ContactProblem(bodies, contacts=[pair] if here else []), "contacts: how many"),
         "material": (
             lambda: ContactProblem(Body(lower, materials.neo_hookean(1.0 + rank, 0.3))),
@@ -648,10 +693,80 @@ def test_what_one_rank_alone_makes_otherwise(what):
             "quadrature_degree of the contact 'contact': 4 on rank 0",
         ),
         "rtol": (lambda: NewtonSolver(ContactProblem(bodies), rtol=1e-9 * (1 + rank)), "rtol, max_iterations"),
+        "calls": (
+            lambda: Body(lower, law, bcs=[clamp]) if here else NewtonSolver(whole),
+            "ranks are at different calls: 'bcs: how many' is looked at on rank 0, 'rtol, max_iterations of a NewtonSolver'",
+        ),
     }
+    whole = ContactProblem(bodies) if what == "calls" else None
     make, words = makes[what]
     with pytest.raises(ValueError, match=words):
         make()
+
+
+@pytest.mark.several_ranks
+def test_a_march_that_is_another_on_one_rank():
+    """Refused at the call, before ranks wait for each other."""
+    here = MPI.COMM_WORLD.rank == 0
+    problem, P = beams(order=1)
+    moving = ContactProblem(dynamics.Motion(Body(problem.u, materials.neo_hookean(1.0, 0.3), density=1.0), step=1e-3))
+    event, solver = (lambda: False) if here else None, NewtonSolver(problem)
+
+    def march(load=P, to=1.0, increments=1, **options):
+        return quasistatic.march(problem, load, to=to, increments=increments, **options)
+
+    def follow(**options):
+        return quasistatic.follow(problem, P, first=1.0, length=0.1, steps=1, **options)
+
+    stages = [quasistatic.Stage(P, 1.0, 1, until=event), quasistatic.Stage(P, 2.0, 1)]
+    smallest = 0.1 if here else 0.2
+    for make, words in [
+        (lambda: march(until=event), "until: whether it is passed: True on rank 0, False on rank 1"),
+        (lambda: march(stages, None, None), "until: whether it is passed"),
+        (lambda: follow(until=event), "until: whether it is passed"),
+        (lambda: dynamics.march(moving, to=1.0, until=event), "until: whether it is passed"),
+        (lambda: march(stages[1:] * (1 + here), None, None), "load: how many stages: 2 on rank 0, 1 on rank 1"),
+        (lambda: march(solver=solver if here else None), "solver: whether it is passed"),
+        (lambda: march(smallest=smallest), r"smallest: \(0\.0, 0\.1\) on rank 0"),
+        (lambda: follow(smallest=smallest), "smallest: .* on rank 0"),
+        (lambda: dynamics.march(moving, to=1.0, smallest=smallest), "smallest, Δt: .* on rank 0"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            make()
+
+
+@pytest.mark.several_ranks
+def test_a_reaction_of_another_support_on_one_rank():
+    here, law = MPI.COMM_WORLD.rank == 0, materials.neo_hookean(1.0, 0.3)
+    (lower, (base, top)), _ = squares()
+    V = lower.function_space
+    first, other, foreign = (
+        fem.dirichletbc(np.zeros(2), fem.locate_dofs_geometrical(V, where), V)
+        for where in (on_the_left, on_top, on_the_left)
+    )
+    problem = ContactProblem(Body(lower, law, bcs=[first, other]))
+    for at, elsewhere in [(first, other), (base, top), (first, base), (first, foreign)]:
+        with pytest.raises(ValueError, match=r"^at: '.*u\[0\]' on rank 0, .* on rank 1; must be the same"):
+            reaction(problem, at if here else elsewhere)
+    assert np.array_equal(reaction(problem, first).force, np.zeros(2))
+
+
+@pytest.mark.several_ranks
+@pytest.mark.parametrize("argument", ["directory", "columns", "paraview", "resume", "checkpoint"])
+def test_a_run_that_is_another_on_one_rank(shared_path, argument):
+    here = MPI.COMM_WORLD.rank == 0
+    problem, _ = beams(order=1)
+    columns = ["load", "newton_iterations", "wall_time"]
+    alike = {"directory": shared_path, "columns": columns, "paraview": False, "resume": None, "checkpoint": False}
+    other = {
+        "directory": shared_path / "b",
+        "columns": columns[::-1],
+        "paraview": True,
+        "resume": 1.0,
+        "checkpoint": True,
+    }
+    with pytest.raises(ValueError, match=rf"{argument}: .* on rank 0, .* on rank 1; must be the same on all ranks"):
+        output.Run(problem, parameters={}, **(alike if here else alike | {argument: other[argument]}))
 
 
 def test_forms_over_another_mesh():

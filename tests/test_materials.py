@@ -31,3 +31,14 @@ def test_stress_is_the_derivative_of_the_energy(law, dim):
 def test_impossible_moduli_are_refused(E, nu):
     with pytest.raises(ValueError, match=r"E = |nu = "):
         materials.saint_venant_kirchhoff(E, nu)
+
+
+@pytest.mark.parametrize("constant", [False, True])
+def test_a_poisson_ratio_whose_forces_are_round_off_is_refused(constant):
+    domain = create_unit_square(MPI.COMM_SELF, 1, 1)
+    for law in (materials.neo_hookean, materials.saint_venant_kirchhoff):
+        for gap in (1e-7, 1e-10, 1e-12):
+            nu = fem.Constant(domain, 0.5 - gap) if constant else 0.5 - gap
+            with pytest.raises(ValueError, match=r"nu = 0\.49999.*round-off takes the digits of forces; take 0\.4999"):
+                law(1.0, nu)
+        law(1.0, fem.Constant(domain, 0.499999) if constant else 0.499999)
