@@ -53,11 +53,13 @@ class DriftMonitor:
         reach = [np.abs(body.mesh.geometry.x).max(initial=0.0) for body in problem.bodies.bodies]
         self._reach = max_over(comm, float(max(reach)))
         self._mass = sum(motion.mass for motion in problem.motions)
+        self._energy = 0.0  # the largest so far, of what has been there or was put in (J)
 
     def look(self, ledger: Ledger, depths: Sequence[float]) -> list[Finding]:
         """What has drifted; `depths` is the penetration of each pair (m) (collective)."""
         start = self._start
-        energy = start.total + abs(ledger.external_work - start.external_work)
+        put_in = start.total + abs(ledger.external_work - start.external_work)
+        self._energy = energy = max(self._energy, put_in, ledger.total)  # its round-off stays where it goes again
         found = []
         gain = ledger.energy_defect - start.energy_defect
         if gain > SHARE * energy and not self._is_driven():

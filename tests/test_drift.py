@@ -69,6 +69,18 @@ def test_a_driven_side_gives_energy():
     assert found(problem, motion, move=lambda t: clamp.value.__setitem__(1, 2 * t)) == set()
 
 
+def test_energy_that_comes_and_goes_leaves_its_round_off():
+    """Put in by a support and taken out again, from rest: what is left beside it is none, and no momentum either."""
+    problem, _ = block()
+    rest = dynamics.Ledger(0.0, 0.0, momentum=(0.0, 0.0), angular_momentum=(0.0,))
+    watch = DriftMonitor(problem, rest)
+    assert watch.look(replace(rest, kinetic=20.0, external_work=20.0), []) == []
+    left = replace(rest, energy_defect=1e-14, momentum=(1e-14, 0.0), angular_momentum=(1e-15,))
+    assert watch.look(left, []) == []
+    names = [finding.name for finding in watch.look(replace(rest, energy_defect=1e-4), [])]
+    assert names == ["energy gained (J)"]
+
+
 def test_bounds():
     """Each quantity is found beyond its bound and not below; momenta not where an obstacle may change them."""
     for obstacle in (False, True):
