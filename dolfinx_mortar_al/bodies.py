@@ -25,7 +25,7 @@ from dolfinx_mortar_al.moduli import yielding_share
 from dolfinx_mortar_al.petsc_blocks import Layout
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed, agreed_on_group
-from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
+from dolfinx_mortar_al.reductions import max_over, sum_over
 from dolfinx_mortar_al.validation import check_cells, check_residual, check_space, compiled, listed
 from dolfinx_mortar_al.versions import whole_form
 
@@ -36,6 +36,7 @@ Index = NDArray[np.int64]
 Index32 = NDArray[np.int32]
 
 _ADD = PETSc.InsertMode.ADD
+SLACK = 1e-10  # of a piece's largest stiffness, below which a displacement meets none
 COLLAPSED = 1e-6  # area stretch below which a membrane counts as torn down to nothing
 
 
@@ -300,14 +301,15 @@ class Bodies:
         for body in self.bodies:
             body.begin()
 
-    def lacks_stiffness(self, diagonals: Sequence[fem.Function]) -> bool:
-        """Whether a displacement that is not prescribed meets next to no stiffness (collective); see `stiffness`."""
-        largest, found = self.stiffest(diagonals), False
+    def slack(self, diagonals: Sequence[fem.Function]) -> NDArray[np.bool_]:
+        """(pieces,) on which some displacement that is not prescribed meets next to no stiffness (collective); see
+        `stiffness`."""
+        largest, found = self.stiffest(diagonals), np.zeros(self.pieces)
         for body, first, diagonal in zip(self.bodies, self.first_piece, diagonals, strict=True):
+            piece = np.repeat(body.piece + first, self.gdim)
             free = body.prescribed().x.array == 0
-            own = np.repeat(largest[body.piece + first], self.gdim)
-            found |= bool((diagonal.x.array[free] < 1e-10 * own[free]).any())
-        return any_over(self.comm, found)
+            found[piece[free & (diagonal.x.array < SLACK * largest[piece])]] = 1.0
+        return np.asarray(max_over(self.comm, found) > 0)
 
     def stiffest(self, diagonals: Sequence[fem.Function]) -> Array:
         """(pieces,) largest diagonal entry of the stiffness (N/m) on each piece (collective)."""
@@ -510,9 +512,10 @@ class Bodies:
             k.array[part] = (diagonal.x.array * floating)[: part.stop - part.start]
         return k
 
-    def tension(self, stiffness: PETSc.Mat, diagonals: Sequence[fem.Function]) -> PETSc.Mat:
-        """What fictitious tensions add to a matrix with room for the bodies' stiffness, in shares of each node's own: of its
-        largest diagonal entry (N/m), so that a soft membrane beside a stiff one has a tension of its own size."""
+    def tension(self, stiffness: PETSc.Mat, diagonals: Sequence[fem.Function], slack: NDArray[np.bool_]) -> PETSc.Mat:
+        """What fictitious tensions of the `slack` pieces (pieces,) add to a matrix with room for the bodies' stiffness,
+        in shares of each node's own: of its largest diagonal entry (N/m), so that a soft membrane beside a stiff one has a
+        tension of its own size."""
         total = stiffness.duplicate()
         for body, map_ in zip(self.bodies, self._maps, strict=True):
             total.setLGMap(map_, map_)
@@ -524,6 +527,7 @@ class Bodies:
             k = np.repeat(diagonal.x.array.reshape(-1, self.gdim).max(axis=1), self.gdim)
             scale.array[part] = k[: part.stop - part.start]
         scale.array[:] = np.sqrt(scale.array_r / np.where(own.array_r > 0, own.array_r, np.inf))
+        scale.array[:] *= slack[self.piece_of_dof]
         total.diagonalScale(scale, scale)
         return total
 

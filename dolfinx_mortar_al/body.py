@@ -16,7 +16,7 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfinx_mortar_al.foreseen_pressure import ForeseenPressure
-from dolfinx_mortar_al.materials import Hyperelastic, cell_measure
+from dolfinx_mortar_al.materials import Hyperelastic, cell_measure, cells_of
 from dolfinx_mortar_al.membrane import NeoHookeanMembrane
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import sum_over
@@ -25,6 +25,7 @@ from dolfinx_mortar_al.validation import (
     check_law,
     check_linear,
     check_measures,
+    check_not_negative,
     check_residual,
     check_space,
     listed,
@@ -112,6 +113,7 @@ class Body:
         #: measure of all cells
         self.dx = cell_measure(u, ufl.Measure("dx", u.function_space.mesh, subdomain_data=tags))
         self.parts = self._parts_of(material, density)
+        self.check_densities()
         self.residual = sum(part.virtual_work(u) for part in self.parts)
         check_measures(self.residual, "material")
         if isinstance(material, list | tuple):
@@ -127,6 +129,17 @@ class Body:
         """Out of the plane (m), as contact and loads count it: a membrane's own thickness is not that."""
         membrane = self.u.function_space.mesh.topology.dim < len(self.u)
         return 1.0 if membrane else self.thickness
+
+    def check_densities(self) -> None:
+        """A density that is a Function must not be negative in its part, as far as its values say (collective).
+
+        Raises:
+            ValueError: on every rank, with the least value.
+        """
+        domain = self.u.function_space.mesh
+        for k, part in enumerate(self.parts):
+            name = f"density[{k}]" if isinstance(self.density, list | tuple) else "density"
+            check_not_negative(name, part.density, domain, cells_of(domain, part.dx))
 
     def _parts_of(self, material: Any, density: Any) -> list[Part]:
         several = isinstance(material, list | tuple)

@@ -216,8 +216,7 @@ class Checkpoint:
         for key, array in arrays.items():
             member, name = key.split(".")
             snapshot[member][name] = array
-        self._problem.lacks_stiffness = False  # a step has converged
-        self._problem.restore(snapshot)
+        self._problem.resume(snapshot)
 
 
 def _shapes(arrays: dict[str, Array]) -> dict[str, tuple[int, ...]]:

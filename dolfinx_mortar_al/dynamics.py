@@ -134,7 +134,8 @@ def march(
             f"ledger: {type(ledger).__name__} is no Ledger; pass that of the last step of an earlier march"
         )
     event, solver = Event(problem.comm, until), stepping.solver_of(problem, solver, rtol=RTOL)
-    for k, motion in enumerate(motions):  # a density may be a Function
+    for k, motion in enumerate(motions):  # a density may be a Function, with other values than when it was passed
+        motion.body.check_densities()
         validation.number(f"mass of motion {k} (kg)", motion.mass, above=0.0, must="its density must make it")
     validation.check_kinetic(sum(motion.kinetic_energy() for motion in motions))
     way = _Way(start, to, float(motions[0].time_step.value), tolerance, smallest)

@@ -13,10 +13,9 @@ import basix
 import numpy as np
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import MeshTags
 from ufl.core.expr import Expr
 
-from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
+from dolfinx_mortar_al.materials import cell_measure, cells_of, deformation_gradient
 from dolfinx_mortar_al.membrane import area_vector
 from dolfinx_mortar_al.reductions import sum_over
 
@@ -77,16 +76,12 @@ def _check_side(u: fem.Function, side: Any, dx: ufl.Measure) -> None:
     """The pressure must know which way to push: the side may nowhere be at right angles to the normal (collective)."""
     area_vector(u, side)  # a vector, on a membrane
     mesh = u.function_space.mesh
-    cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
-    tags, ids = dx.subdomain_data(), dx.subdomain_id()
-    if isinstance(tags, MeshTags) and ids != "everywhere":
-        cells = np.intersect1d(cells, np.concatenate([tags.find(k) for k in np.atleast_1d(ids)])).astype(np.int32)
     middle = basix.geometry(mesh.basix_cell()).mean(axis=0)[None]
     J = ufl.Jacobian(mesh)
     across = side if isinstance(side, Expr) else fem.Constant(mesh, np.asarray(side, dtype=np.float64))
     along = J * ufl.JacobianInverse(mesh) * across
     parts = fem.Expression(ufl.as_vector([ufl.inner(across, across), ufl.inner(along, along)]), middle, comm=mesh.comm)
-    whole, flat = parts.eval(mesh, cells).reshape(-1, 2).T
+    whole, flat = parts.eval(mesh, cells_of(mesh, dx)).reshape(-1, 2).T
     inside = ~(whole - flat > 1e-12 * whole)
     if sum_over(mesh.comm, int(inside.sum())):
         raise ValueError(

@@ -10,8 +10,11 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import Mesh, MeshTags
+from numpy.typing import NDArray
 from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.core.expr import Expr
 
@@ -24,6 +27,7 @@ __all__ = [
     "SaintVenantKirchhoff",
     "artanh_rest",
     "cell_measure",
+    "cells_of",
     "deformation_gradient",
     "lame",
     "neo_hookean",
@@ -50,6 +54,15 @@ def cell_measure(u: fem.Function, dx: ufl.Measure | None = None) -> ufl.Measure:
     V = u.function_space
     dx = ufl.Measure("dx", V.mesh) if dx is None else dx
     return dx if "quadrature_degree" in dx.metadata() else dx(degree=2 * V.ufl_element().embedded_subdegree)
+
+
+def cells_of(domain: Mesh, dx: ufl.Measure) -> NDArray[np.int32]:
+    """This rank's own cells that a measure is of."""
+    cells = np.arange(domain.topology.index_map(domain.topology.dim).size_local, dtype=np.int32)
+    tags, ids = dx.subdomain_data(), dx.subdomain_id()
+    if isinstance(tags, MeshTags) and ids != "everywhere":
+        cells = np.intersect1d(cells, np.concatenate([tags.find(k) for k in np.atleast_1d(ids)])).astype(np.int32)
+    return cells
 
 
 def artanh_rest(z: Expr) -> Expr:

@@ -12,7 +12,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.body import Body, Material
-from dolfinx_mortar_al.internal_work import internal_work
+from dolfinx_mortar_al.internal_work import TRAPEZOIDAL, WORK, internal_work
 from dolfinx_mortar_al.materials import cell_measure
 from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.validation import check_dead, number
@@ -100,6 +100,12 @@ class Motion:
     def has_forms(self) -> bool:
         """Whether a part's forces come from a form, which may hold loads."""
         return bool(self._internal)
+
+    @property
+    def has_weighted_forces(self) -> bool:
+        """Whether a part's forces over a step do another work than the ledger books as strain energy."""
+        known = {work.known for work in self.works}
+        return TRAPEZOIDAL in known or (WORK in known and self.theta != 0.5)
 
     def new_velocity(self) -> Any:
         """𝐯_{n+1} (m/s) as UFL of 𝐮_{n+1}, 𝐮_n and 𝐯_n."""

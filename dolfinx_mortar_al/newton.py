@@ -30,6 +30,7 @@ _Reason = PETSc.SNES.ConvergedReason
 NOT_FINITE = -4  # a reason that PETSc has renamed
 
 FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane's stiffness in its own plane
+LEAST_TENSION = 1e-12  # so much stays on what no force has met yet, lest the Jacobian be singular
 LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, as a share of the largest pressure
 LONGEST = 4.0  # target facets that a closed point may move over the target in one iteration
 UNSUITABLE = (56, 60, 62, 86, 92)  # PETSc's error codes where a solver does not take the matrix, or is not known
@@ -205,7 +206,7 @@ class NewtonSolver:
         unless something else than stiffness was missing."""
         excuse = self.linear.excuse()
         if excuse is None:
-            self.problem.lacks_stiffness = True
+            self.problem.slack[:] = True
             self.result.message = "the Jacobian is singular: some displacement meets no stiffness" + self._advice()
         else:
             self.result.message = excuse
@@ -232,13 +233,16 @@ class NewtonSolver:
     def _fictitious_tension(self) -> float:
         """For a start without stiffness, such as a flat membrane: a tension in the Jacobian only.
 
-        It is counted in shares of the stiffness and multiplied by the relative residual, so that it is gone at
-        convergence; as Newton makes progress it shrinks faster, and grows back where it does not.
+        It is counted in shares of the stiffness and multiplied by the relative residual, so that next to nothing is left
+        at convergence; as Newton makes progress it shrinks faster, and grows back where it does not. A solve may begin
+        without forces, before what has come into contact presses.
         """
         norms = [max(norms) for norms in self.result.norms]
         if len(norms) > 1:
             self._tension *= 0.3 if norms[-1] < norms[-2] else 3.0
-        return self._tension * min(norms[0], norms[-1]) / max(norms[0], 1e-300)
+        first = next((norm for norm in norms if norm > 0.0), 0.0)
+        share = min(first, norms[-1]) / first if first else 1.0
+        return max(self._tension * share, LEAST_TENSION) if self._tension else 0.0
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
         f = self.problem.residual.getNestSubVecs() if iteration == 0 else snes.getFunction()[0].getNestSubVecs()

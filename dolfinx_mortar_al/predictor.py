@@ -27,7 +27,7 @@ class Predictor:
         self._states: list[Snapshot] = []
         self._guesses = 1  # among the states: the start's contact
         self._touching: list[bool] = []  # of each pair, in the last state
-        self._was_slack = problem.lacks_stiffness
+        self._slack = problem.slack.copy()
         #: of each predicted array, the polynomial order to predict it with
         self._order = {(member, name): 1 for member, name in self._predicted()}
 
@@ -38,13 +38,14 @@ class Predictor:
     def add(self, abscissa: float, afresh: bool = False) -> None:
         """A state has converged; choose the polynomial orders that would have predicted it well. Where a pair has touched or
         parted since the last one, or the bodies have leapt and all begins `afresh`, the states before say nothing of what
-        comes; nor does a start without stiffness, such as a flat membrane, from which displacements grow as a root of the
-        load (collective)."""
+        comes; nor does one without stiffness, such as that of a flat membrane, from which displacements grow as a root of
+        the load (collective)."""
         state = self.problem.snapshot()
         touching = self._touch()
-        if self._states and (afresh or touching != self._touching or self._was_slack):
+        tautened = bool((self._slack & ~self.problem.slack).any())
+        if self._states and (afresh or touching != self._touching or tautened):
             self._forget(keep=0)
-        self._touching, self._was_slack = touching, self.problem.lacks_stiffness
+        self._touching, self._slack = touching, self.problem.slack.copy()
         for array in self._order:
             self._order[array] = self._best_order(state, array, abscissa)
         self._abscissae, self._states = [*self._abscissae, abscissa], [*self._states, state]

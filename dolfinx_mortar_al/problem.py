@@ -19,7 +19,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.bodies import SLACK, Bodies
 from dolfinx_mortar_al.body import Body
 from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.given import Given
@@ -179,7 +179,8 @@ class ContactProblem:
         diameter = self.bodies.diameter()
         #: (pieces,) norm of the bulk's forces at the last evaluation on each connected piece, and their round-off (N)
         self.force_scale: Array = np.zeros(self.bodies.pieces)
-        self.force_floor = 2e-15 * self.bodies.stiffest(stiffness) * self.bodies.diameters()
+        unit = self.bodies.stiffest(stiffness) * self.bodies.diameters()
+        self.force_floor, self._least_borne = 2e-15 * unit, SLACK * unit
         #: size of forces that a step of bodies in motion resolves, on all pieces (N); None in statics
         self.force_reference: float | None = None
         self.gap_floor = [max(2e-15 * diameter, pair.kinematics.round_off) * pair.area for pair in self.pairs]
@@ -260,10 +261,10 @@ class ContactProblem:
         self.contact_share.assemble()
         self._outgrown = False  # whether its pattern has grown since it was part of the matrix
         self._diagonals = diagonals
-        #: some unprescribed displacement meets no stiffness, as a flat membrane's across it; until a step has converged
-        self.lacks_stiffness = self.bodies.lacks_stiffness(diagonals)
-        #: a fictitious tension in the Jacobian, as a share of the stiffness (no part of the residual)
-        self.tension, self._tension_matrix = 0.0, None
+        #: (pieces,) some unprescribed displacement meets no stiffness, as a flat membrane's across it; until the piece bears
+        self.slack = self.bodies.slack(diagonals)
+        #: a fictitious tension of slack pieces in the Jacobian, as a share of the stiffness (no part of the residual)
+        self.tension, self._tension_matrix, self._tensed = 0.0, None, self.slack
         #: springs on the pieces that contact alone holds, in the Jacobian only: (N/m) and the share of them in use
         self.springs, self.spring_share = self.bodies.springs(diagonals), 0.0
         self._spring_shares = self.bodies.spring_shares(diagonals, self._touched)
@@ -565,8 +566,9 @@ class ContactProblem:
     def _add_tension(self) -> None:
         A = self.blocks[0][0]
         A.assemble()
-        if self._tension_matrix is None:
-            self._tension_matrix = self.bodies.tension(A, self._diagonals)
+        if self._tension_matrix is None or not np.array_equal(self._tensed, self.slack):
+            self._tension_matrix = self.bodies.tension(A, self._diagonals, self.slack)
+            self._tensed = self.slack.copy()
         A.axpy(self.tension, self._tension_matrix, structure=_SUBSET)
 
     def _add_springs(self) -> None:
@@ -747,9 +749,26 @@ class ContactProblem:
         for name, member in self.members.items():
             member.restore(saved[name])
 
+    def resume(self, saved: Snapshot) -> None:
+        """To a converged state of an earlier run (collective)."""
+        self.restore(saved)
+        if self.lacks_stiffness:
+            self.assemble_bulk()
+            self._look_what_bears()
+
+    @property
+    def lacks_stiffness(self) -> bool:
+        """Whether some piece has met no forces yet that would give it stiffness."""
+        return bool(self.slack.any())
+
+    def _look_what_bears(self) -> None:
+        """In a converged state, a piece that bears forces is taut; one that nothing has met is as slack as it was."""
+        self.slack &= self.force_scale <= self._least_borne
+
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""
-        self.lacks_stiffness, self._known_free = False, self._free
+        self._known_free = self._free
+        self._look_what_bears()
         self.bodies.begin()
         if self.ties is not None:
             self.ties.release()

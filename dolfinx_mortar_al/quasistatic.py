@@ -140,11 +140,12 @@ def march(
         stages = validation.listed("load", load, Stage, "a Stage")
         if not stages:
             raise ValueError("load = []: pass a load, a Stage or a list of them")
-        legs = _legs(problem, stages, None)
-        begin = 0.0 if start is None else validation.number("start", start, least=0.0, most=float(len(legs)))
+        begin = 0.0 if start is None else validation.number("start", start, least=0.0, most=float(len(stages)))
+        agreed(problem.comm, "start", begin)
+        legs = _legs(problem, stages, done=int(begin))
     else:
         legs, begin = _legs(problem, [Stage(load, to, increments)], start), 0.0  # type: ignore[arg-type]
-    agreed(problem.comm, "start, smallest", (begin, smallest))
+    agreed(problem.comm, "smallest", smallest)
     control = _LoadControl(problem, stepping.solver_of(problem, solver), legs, begin, smallest, event)
     return March(_steps(control, progress), problem.comm.rank)
 
@@ -206,7 +207,7 @@ def _follow(control: _PathControl, start: float | None, progress: bool) -> Gener
     if start is not None:
         load.number = start
     control.mark()
-    legs = _legs(problem, [Stage(load.source, load.number + first, 1)], None)
+    legs = _legs(problem, [Stage(load.source, load.number + first, 1)])
     given = _LoadControl(problem, control.solver, legs, 0.0, SMALLEST, Event(problem.comm, None))
     for step in _steps(given, progress=False):
         yield replace(step, path=control.length())
@@ -259,8 +260,9 @@ class _Leg:
         return float(self.value(x)[0]) if self.load.is_number else x / self.increments
 
 
-def _legs(problem: ContactProblem, stages: Sequence[Stage], start: float | None) -> list[_Leg]:
-    """The stages, checked (collective); `start` is the value of the first one's load, if another than it remembers."""
+def _legs(problem: ContactProblem, stages: Sequence[Stage], start: float | None = None, *, done: int = 0) -> list[_Leg]:
+    """The stages, checked (collective); `start` is the value of the first one's load, if another than it remembers. Loads
+    stand where the first `done` stages have left them."""
     legs: list[_Leg] = []
     agreed(problem.comm, "load: how many stages", len(stages))
     for k, stage in enumerate(stages):
@@ -274,9 +276,10 @@ def _legs(problem: ContactProblem, stages: Sequence[Stage], start: float | None)
         begin, end = (None, None) if isinstance(load.source, fem.Function) else (load.value.tolist(), leg.end.tolist())
         agreed(problem.comm, f"{where}start, to, increments", (start, end, increments))
         agreed(problem.comm, f"{where}load: its present value", begin)
-        earlier = next((one for one in reversed(legs) if one.load is load), None)
+        earlier = next((one for one in reversed(legs[done:]) if one.load is load), None)
         before = leg.start if leg.start is not None else load.value if earlier is None else earlier.end
-        if (earlier is None or stages[legs.index(earlier)].until is None) and _alike(problem, before, leg.end):
+        chosen = earlier is not None and stages[legs.index(earlier)].until is not None  # where it ends, by an event
+        if k >= done and not chosen and _alike(problem, before, leg.end):
             at = f" {float(before[0]):g}" if load.is_number else ""
             raise ValueError(f"{where}to = {stage.to}: the load must move away from its present value{at}")
         legs.append(leg)

@@ -20,7 +20,7 @@ import ufl
 from dolfinx import fem, mesh
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.reductions import any_over
+from dolfinx_mortar_al.reductions import any_over, min_over
 from dolfinx_mortar_al.versions import geometry_degree, geometry_nodes
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "check_measures",
     "check_motions",
     "check_names",
+    "check_not_negative",
     "check_residual",
     "check_scalar",
     "check_scalars",
@@ -165,6 +166,24 @@ def positive_or_ufl(name: str, value: Any) -> Any:
         return value
     checked = number(name, said, above=0.0)
     return checked if said is value else value
+
+
+def check_not_negative(name: str, value: Any, domain: mesh.Mesh, cells: NDArray[np.int32]) -> None:
+    """A Function that has its least value where it is stored, being constant or linear in each cell, is nowhere negative in
+    `cells` (collective). Of other UFL, and of what is no number, nothing is said.
+
+    Raises:
+        ValueError: on every rank, with the least value.
+    """
+    if not isinstance(value, fem.Function) or value.function_space.mesh is not domain:
+        return
+    element = value.function_space.ufl_element()
+    if element.element_family != basix.ElementFamily.P or element.degree > 1:
+        return
+    found = value.x.array[value.function_space.dofmap.list[cells]]
+    least = min_over(domain.comm, float(np.fmin.reduce(found, axis=None, initial=np.inf)))
+    if least < 0.0:
+        raise ValueError(f"{name}: Function {value.name!r} has the value {least:.6g}; none may be negative")
 
 
 def listed(name: str, value: Any, kind: type[Item], article: str) -> list[Item]:

@@ -6,8 +6,10 @@ import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
 from scenes import NU, E, assert_tangent, membranes, octant, rough, set_field
+from scipy.optimize import brentq
 
 from dolfinx_mortar_al import (
+    Body,
     Contact,
     ContactProblem,
     Surface,
@@ -15,9 +17,11 @@ from dolfinx_mortar_al import (
     materials,
     membrane,
     monitors,
+    obstacles,
     output,
     quasistatic,
 )
+from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.law import OPEN, SLIP, STICK
 from exact.balloon import Balloon
 from exact.two_membranes import TwoMembranes as Exact
@@ -87,6 +91,51 @@ def test_flat_unstressed_start_reaches_the_exact_arc_in_one_step(pressure):
     assert u[1] == pytest.approx(exact.midpoint_displacement[1], rel=1e-5)
     assert u[0] == pytest.approx(0.0, abs=1e-9)
     assert problem.comm.allreduce(np.abs(problem.residual.getNestSubVecs()[0].array_r).max(initial=0), MPI.MAX) < 1e-6
+
+
+RADIUS, PUSHED_TO = 0.2, 0.4
+
+
+def under_a_disc(gap):
+    """A flat membrane with a rigid disc `gap` above it, and another one that nothing meets: (problem, disc)."""
+    domain, cells, edges = TwoMembranes(cells=(20, 20), shift=3.0).create()
+    V = fem.functionspace(domain, ("Lagrange", 2, (2,)))
+    bc = fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 0, edges.find(EDGE)), V)
+    sheet = Body(fem.Function(V), membrane.neo_hookean_membrane(E, NU, 1e-3), bcs=[bc])
+    disc = obstacles.RigidSphere([0.5, RADIUS + gap], RADIUS)
+    return ContactProblem(sheet, contacts=[Contact(Surface(domain, cells, LOWER, side=[0, 1]), disc)]), disc
+
+
+def force_on_a_disc(depth):
+    """Exact, by so much below the flat membrane: two straight legs at an angle φ, and an arc between them."""
+    φ = brentq(lambda φ: (1 - np.cos(φ)) * RADIUS - depth + np.tan(φ) * (0.5 - RADIUS * np.sin(φ)), 1e-6, 1.5)
+    stretch = 2 * (0.5 - RADIUS * np.sin(φ)) / np.cos(φ) + 2 * RADIUS * φ
+    sheet = membrane.neo_hookean_membrane(E, NU, 1e-3)
+    x = float(thickness_stretch_squared(stretch, sheet.G, sheet.lame))
+    return 2 * np.sin(φ) * sheet.thickness * sheet.G * (stretch - x / stretch)
+
+
+@pytest.mark.parametrize("gap", [0.04, 0.07, 0.1, 0.12])
+def test_a_flat_membrane_that_is_met_in_a_later_step(shared_path, gap):
+    """In steps of 0.05 m, of which up to two meet nothing or all but touch, each gone on with from a checkpoint: nothing is
+    rejected, and the force is the exact one to 2e-3 (20 cells, two of which the edges of contact cut)."""
+    path = None
+    while path != 1.0:
+        problem, disc = under_a_disc(gap)
+
+        def press(depth, disc=disc):
+            disc.move([0, -depth])
+
+        kept = Checkpoint(shared_path, problem)
+        saved = kept.load()
+        assert problem.lacks_stiffness
+        assert problem.slack.all() == (saved is None or PUSHED_TO * saved.at <= gap)
+        stages = [quasistatic.Stage(press, PUSHED_TO, 8)]
+        step = next(quasistatic.march(problem, stages, start=None if saved is None else saved.at))
+        assert step.rejected == 0
+        path = step.path
+        kept.save(path)
+    assert -problem.pairs[0].force()[1] == pytest.approx(force_on_a_disc(PUSHED_TO - gap), rel=2e-3)
 
 
 def midpoint_error(problem, state):

@@ -1,5 +1,6 @@
 """Loads of every kind, stages, events, and what the three ways of stepping share."""
 
+import itertools
 import subprocess
 import sys
 from pathlib import Path
@@ -23,6 +24,7 @@ from dolfinx_mortar_al import (
     quasistatic,
     stepping,
 )
+from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.newton import NewtonResult
 from dolfinx_mortar_al.quasistatic import Stage, StepFailure
 from dolfinx_mortar_al.reductions import max_over
@@ -166,6 +168,44 @@ def test_a_march_goes_on_from_a_checkpoint_within_a_stage(shared_path):
     for name in ("path", "x", "y", "fx", "fy"):
         assert np.allclose(cut.history.column(name), whole.history.column(name), rtol=0, atol=1e-8), name
     assert go(shared_path / "cut", -1).start == 3.0  # nothing is left, and nothing happens
+
+
+@pytest.mark.parametrize(
+    "stages, rows",
+    [
+        ([("press", DEPTH, 2), ("drag", WAY, 4)], 2),  # interrupted at the end of the first stage
+        ([("press", DEPTH, 2), ("drag", WAY, 4)], 4),  # within the second one, which moves another load
+        ([("press", DEPTH / 2, 2), ("press", DEPTH, 2)], 2),
+        ([("top", PRESSED, 2), ("drag", WAY, 4)], 2),
+    ],
+)
+def test_a_march_goes_on_from_a_checkpoint_after_a_stage(shared_path, stages, rows):
+    """What is done is not done again, whatever load the next stage moves: the forces of the march that went through."""
+
+    def go(rows=None):
+        block, forces = Block(), []
+
+        def press(depth):
+            block.top.value[1] = -depth
+
+        def drag(way):
+            block.top.value[0] = way
+
+        loads = {"press": press, "drag": drag, "top": block.top}
+        folder = shared_path / ("cut" if rows else "whole")
+        kept = Checkpoint(folder, block.problem)
+        saved = kept.load()
+        start = None if saved is None else saved.at
+        march = quasistatic.march(block.problem, [Stage(loads[name], *aim) for name, *aim in stages], start=start)
+        for step in itertools.islice(march, rows):
+            kept.save(step.path)
+            forces.append(block.force())
+        return forces
+
+    whole = go()
+    cut = go(rows) + go(len(whole))
+    assert np.allclose(cut, whole, rtol=1e-7, atol=1e-7 * np.abs(whole).max())
+    assert go(1) == []
 
 
 @pytest.mark.parametrize("integration", ["gauss", "segments"])
