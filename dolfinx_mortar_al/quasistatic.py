@@ -327,11 +327,12 @@ def _judged(problem: ContactProblem, result: NewtonResult) -> Attempt:
 
 
 def _is_unstable(problem: ContactProblem, result: NewtonResult) -> bool:
-    """Whether bodies would leave a converged state. The sign of a determinant tells that of bodies that supports hold; of
-    those that contact alone holds, where it is round-off's if nothing resists a slide, what resists their motions does."""
+    """Whether bodies would leave a converged state, as the sign of a determinant tells. Where nothing resists a slide of
+    bodies that contact alone holds it is round-off's, and a coarse wheel that stands on a corner need not roll off: of
+    those a state counts that wild iterates have led to, and in which something drives a motion on."""
     if not problem.floating:
         return result.unstable
-    return problem.ties is not None and problem.ties.is_unstable
+    return result.unstable and result.wild and problem.ties is not None and problem.ties.is_unstable
 
 
 class _LoadControl(Controller[Step]):
