@@ -507,9 +507,9 @@ class NewtonSolver:
             rub = "" if all(pair.friction > 0 for pair in p.pairs) else "add friction, "
             off = self.snes.getFunction()[0].getNestSubVecs()[0]
             parts.append(
-                f"{' and '.join(p.unheld(off))}: if it may slide or roll off, or a load pulls it away (its sign?), press it "
-                f"on, prescribe the motion that is free (of one node, along the surface), {rub}or let it move with "
-                "dynamics.march"
+                f"{' and '.join(p.unheld(off))}: if it may slide, roll off or topple, or a load pulls it away (its sign?), "
+                f"press it on, prescribe the motion that is free (of one node, along the surface), {rub}or let it move "
+                "with dynamics.march"
             )
         elif far := [
             f"{pair.name}: {name} = {ratio * pair.unit:.3g} Pa/m where the bulk suggests {pair.unit:.3g}"

@@ -34,8 +34,8 @@ def reaction(
     problem: ContactProblem, at: fem.DirichletBC | Surface, *, about: Sequence[float] | None = None
 ) -> Reaction:
     """The force and moment with which a support holds the bodies, in the state last solved for: the sum of the
-    residual, contact included, over what the support prescribes. With the loads and inertia they are in equilibrium
-    (collective).
+    residual, contact included, over what the support prescribes. With the loads and inertia forces are in equilibrium, and
+    moments but for friction's across the gaps that the mesh leaves (``docs/results.md``) (collective).
 
     In dynamics it is the mean over the last time step; what the projection of velocities adds at its end is left out.
 
