@@ -420,6 +420,17 @@ class Bodies:
 
     # ---------------------------------------------------------------- matrices
 
+    def diagonals(self) -> list[fem.Function]:
+        """Diagonal of the bulk's stiffness (N/m) of each body, as it is now (collective)."""
+        found = []
+        for body in self.bodies:
+            A, diagonal = body.stiffness(), fem.Function(body.space)
+            A.getDiagonal(diagonal.x.petsc_vec)
+            A.destroy()
+            diagonal.x.scatter_forward()
+            found.append(diagonal)
+        return found
+
     def stiffness(self) -> tuple[list[fem.Function], tuple[Index32, Index32]]:
         """Diagonal of the bulk's stiffness (N/m) of each body, and the pattern of all in compressed rows."""
         diagonals, indptr, indices, entries = [], [np.zeros(1, dtype=np.int32)], [], 0

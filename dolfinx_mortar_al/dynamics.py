@@ -34,6 +34,7 @@ __all__ = ["Ledger", "Motion", "Step", "StepFailure", "march"]
 
 Array = NDArray[np.float64]
 
+LONG = 1e6  # of a step: in so long a time inertia is nothing
 RTOL = 1e-11  # of Newton: what is left over shows up in the ledger
 GAIN = (
     1e-8  # of the total energy that contact may give in a step: what Newton's tolerance leaves, a thousand times over
@@ -207,21 +208,23 @@ class _TimeControl(Controller[Step]):
         self._drift = DriftMonitor(self.problem, now)
 
     def _admit(self) -> None:
-        """Begin with positions that contact's law over a step allows, where anything presses: those of a step from rest, as
-        short as surfaces take to swing, for which no time passes. Those of a static solution overlap a little more or less
-        where facets are closed in part, as ε is another one there, and to part them within the first step would take the
-        more energy the shorter it is."""
+        """Begin with positions that contact's law over a step allows, as near as may be: without inertia, nodes held by
+        dashpots that bear what forces there are. Those of a static solution overlap a little more or less where facets are
+        closed in part, as ε is another one there, and to part them within the first step would take the more energy the
+        shorter it is."""
         problem, before = self.problem, self.problem.snapshot()
         velocities = [motion.velocity.x.array.copy() for motion in self.motions]
         for motion in self.motions:
-            motion.time_step.value = self._projection.swing(self._way.longest)
+            motion.time_step.value = LONG * self._way.longest
             motion.velocity.x.array[:] = 0.0
         for level in self.levels:
             level.predict()
         for pair in problem.pairs:
             pair.begin_step()
         problem.force_reference = 0.0
+        problem.dashpots = problem.holding_dashpots()
         pressed = self.solver.solve().converged and any(pair.is_pressed() for pair in problem.pairs)
+        problem.dashpots = None
         if any_over(problem.comm, pressed):
             for motion in self.motions:
                 motion.take_up()

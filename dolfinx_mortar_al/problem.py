@@ -446,10 +446,18 @@ class ContactProblem:
         total.assemble()
         return self.bodies.split(total.array_r)
 
-    def nodal_stiffness(self) -> Array:
-        """(owned dofs,) mean diagonal (N/m) of the bulk's stiffness at each node at the start state; 0 at displacements that
-        are prescribed (collective)."""
-        nodal = np.abs(self.bodies.owned(self._diagonals)).reshape(-1, self.gdim).mean(axis=1)
+    def holding_dashpots(self) -> Dashpots:
+        """Such as bear the bulk's present forces, so that without contact it stays, and hold each node about as firmly as its
+        neighbours do (collective)."""
+        k = self.nodal_stiffness(self.bodies.diagonals())
+        forces = np.where(k > 0.0, self.bodies.forces(again=True), 0.0)
+        return Dashpots(k, self.bodies.get() + forces / np.where(k > 0.0, k, 1.0))
+
+    def nodal_stiffness(self, diagonals: Sequence[fem.Function] | None = None) -> Array:
+        """(owned dofs,) mean diagonal (N/m) of the bulk's stiffness at each node, at the start state or of these `diagonals`;
+        0 at displacements that are prescribed (collective)."""
+        diagonals = self._diagonals if diagonals is None else diagonals
+        nodal = np.abs(self.bodies.owned(diagonals)).reshape(-1, self.gdim).mean(axis=1)
         return np.where(self.bodies.prescribed(), 0.0, nodal.repeat(self.gdim))
 
     def masses(self, forms: Sequence[Any]) -> tuple[PETSc.Mat, list[fem.Function]]:

@@ -30,8 +30,10 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
-HALF = 0.5  # of the thickness: an overlap is less than the body's far side away, however that moves in an iteration; of the
-# length of what lies between two points: less, or as little of it now, is no stretch that matter is expected to bear
+# of the thickness: an overlap is less than the body's far side away, however that moves in an iteration; of the length of
+# what lies between two points: less, or as little of it now, is no stretch that matter is expected to bear; of the cell
+# behind a facet: nearer than that the undeformed body has no far side, and what lies there overlaps it
+HALF = 0.5
 
 
 class SelfTarget(DeformableTarget):
@@ -55,6 +57,7 @@ class SelfTarget(DeformableTarget):
         self.own = self.surface.places_of(facets)
         self.role: Index = np.zeros(len(self.facets), dtype=np.int64)
         self._own_nodes, self._own_orientation = facets.X, facets.orientation
+        self._least = np.zeros(0) if surface.is_membrane else HALF * facets.cell_depths()
         self._depth: Array = np.full(facets.size, DEEP * self.size)  # of a membrane, which has no thickness
         if not surface.is_membrane:
             self._thickness = _Thickness(surface.mesh, facets, bodies)
@@ -76,14 +79,15 @@ class SelfTarget(DeformableTarget):
         return counts
 
     def _is_far_side(self, points: ContactorPoints, found: Hits) -> Bool:
-        """(m,) hits behind points at whose ends is the body's own matter in between: in the undeformed body the one lies
-        behind the other, and about as far away as now."""
+        """(m,) hits behind points with the body's own matter in between: in the undeformed body the one lies behind the
+        other, and about as far away as now, but no nearer than the body has cells for."""
         nodes = self._own_nodes[points.facet[found.row]]
         N, dN = self.surface.shape.tabulate(points.η[found.row], 1)
         inward = -surface_normal(dN @ nodes) * self._own_orientation[points.facet[found.row], None]
         way = combine(found.N, self.surface.X[self.facets[found.facet]]) - combine(N, nodes)
         length = np.linalg.norm(way, axis=1)
         into = dot(way, inward) >= HALF * length * np.linalg.norm(inward, axis=1)
+        into &= length >= self._least[points.facet[found.row]]
         return np.asarray(into & (-found.d >= HALF * length) & (HALF * -found.d <= length))
 
     def opposite(self, points: ContactorPoints) -> tuple[TargetPoint, Bool]:
@@ -135,7 +139,8 @@ class _Thickness:
         self._η = facets.shape.quadrature(2 * facets.shape.order)[0]
         self._N, self._dN = facets.shape.tabulate(self._η, 1)
         x, normal = self._points(facets.X)
-        self._behind, self._found = _far_side(self._far.surface, x, normal)
+        least = np.repeat(HALF * facets.cell_depths(), len(self._η))
+        self._behind, self._found = _far_side(self._far.surface, x, normal, least)
         self._weights = self._far.weights(self._behind)
 
     def _points(self, nodes: Array) -> tuple[Array, Array]:
@@ -155,12 +160,12 @@ class _Thickness:
         return np.asarray(thickness.reshape(-1, len(self._η)).min(axis=1, initial=np.inf))
 
 
-def _far_side(outer: GatheredFacets, x: Array, normal: Array) -> tuple[TargetPoint, Bool]:
-    """Where the rays from 𝐱 (n, gdim) against `normal` leave the undeformed body through its boundary, and (n,) whether one
-    was found."""
+def _far_side(outer: GatheredFacets, x: Array, normal: Array, least: Array) -> tuple[TargetPoint, Bool]:
+    """Where the rays from 𝐱 (n, gdim) against `normal` leave the undeformed body through its boundary, at `least` (n,) so far
+    behind (m): what is nearer overlaps. And (n,) whether one was found."""
     nodes = outer.X[outer.facets]
     found = hits(outer.shape, nodes, x, normal, *ray_candidates(x, normal, nodes, 0.0)[:2])
-    found = found.take(found.d < -1e-9 * outer.size_of_facets)
+    found = found.take(found.d < -least[found.row])
     order = np.lexsort([-found.d, found.row])
     first = found.take(order[np.r_[True, np.diff(found.row[order]) > 0]] if len(order) else order)
     point = TargetPoint(np.zeros(len(x), dtype=np.int64), np.zeros((len(x), outer.shape.dim)))

@@ -17,6 +17,7 @@ __all__ = ["Supports"]
 Array = NDArray[np.float64]
 
 INSTANT = 1e-3  # of a step: a way is a line there, and what is left of its curvature a millionth
+FASTER = 2.0  # than in the mean over a step: a quarter of a swing begins with π/2 times it
 JUMPS = 1.5  # times the mean velocity over twice the time: it is halved after a jump, and the same or more without
 
 
@@ -34,16 +35,17 @@ class Supports:
     def begin(self, move: Callable[[float], None], time: float, Δt: float) -> None:
         """Give prescribed components the velocity with which `move` begins to move them at `time`: with another one the
         mid-point rule, whose mean velocity is that of their way, would swing about it from step to step for ever. It is found
-        by differences over a small part of the step; a way that begins with a jump has none."""
+        by differences over a small part of the step; a way that begins with a jump, or a velocity that is not one of the
+        step, has none."""
         problem, ε = self._problem, INSTANT * Δt
         at = []
-        for t in (time, time + ε, time + 2 * ε):
+        for t in (time, time + ε, time + 2 * ε, time + Δt):
             move(t)
             at.append(problem.bodies.unmet())
         move(time)
-        near, far = (at[0] - at[1]) / ε, (at[0] - at[2]) / (2 * ε)
-        squares = sum_over(problem.comm, np.array([near @ near, far @ far]))
-        if squares[0] > JUMPS**2 * squares[1]:
+        near, far, mean = (at[0] - at[1]) / ε, (at[0] - at[2]) / (2 * ε), (at[0] - at[3]) / Δt
+        squares = sum_over(problem.comm, np.array([near @ near, far @ far, mean @ mean]))
+        if squares[0] > JUMPS**2 * squares[1] or squares[0] > FASTER**2 * squares[2]:
             return
         fields = [motion.velocity for motion in self._motions]
         problem.bodies.spread(np.where(self.held, 2 * near - far, problem.bodies.owned(fields)), fields)

@@ -217,6 +217,18 @@ class Facets:
     X: Array
     orientation: Array
 
+    def cell_depths(self) -> Array:
+        """(nf,) how far the cell behind each facet of a body reaches from the facet's plane, undeformed (m)."""
+        domain = self.space.mesh
+        per_cell = len(basix.topology(domain.basix_cell())[domain.topology.dim - 1])
+        cells = _cells_of(domain, self.entities, per_cell)[0]
+        middle = self.shape.corners.mean(axis=0)[None]
+        N, dN = self.shape.tabulate(middle, 1)
+        outward = surface_normal(dN[0] @ self.X) * self.orientation[:, None]
+        outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+        nodes = self.space.tabulate_dof_coordinates()[:, : domain.geometry.dim][self.space.dofmap.list[cells]]
+        return np.asarray(np.einsum("fki,fi->fk", (N[0] @ self.X)[:, None] - nodes, outward).max(axis=1, initial=0.0))
+
     @classmethod
     def of(cls, surface: Surface, V: fem.FunctionSpace) -> Facets:
         """The surface's owned facets seen through V.

@@ -124,11 +124,6 @@ class VelocityProjection:
         problem.bodies.spread(problem.bodies.owned(fields) + change.δv, fields)
         return Settled(change.lost, friction, work, by_supports, found)
 
-    def swing(self, longest: float) -> float:
-        """How long the surfaces of the pairs take to swing, their stiffness that of a step of `longest`, or less (s)."""
-        pairs = zip(self._density, self._problem.pairs, strict=True)
-        return min([longest, *(float(np.sqrt(mass / pair.stiffness)) for mass, pair in pairs)])
-
     def _parts(self, hold: list[Bool], drag: bool) -> list[_Part]:
         pairs = zip(self._problem.pairs, self._density, hold, strict=True)
         return [_Part(pair, density, still, drag) for pair, density, still in pairs]

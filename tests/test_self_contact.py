@@ -26,6 +26,7 @@ from dolfinx_mortar_al import (
 from dolfinx_mortar_al.law import OPEN, SLIP, STICK
 from dolfinx_mortar_al.obstacles import Pose
 from dolfinx_mortar_al.roles import assign, precedes
+from dolfinx_mortar_al.verify.meshes import build, grid
 from meshes.round_bodies import Round, RoundBodies
 from meshes.two_beams import TwoBeams
 
@@ -96,6 +97,32 @@ def test_patch(dim, triangles, friction):
     closed = pair.state.status != OPEN
     assert pair.comm.allreduce(float(pair.j[closed].sum())) == pytest.approx(0.5 ** (dim - 2), rel=1e-12)
     assert np.abs(pair.state.p[closed] - 1e4).max(initial=0.0) < 1e-10 * 1e4
+
+
+@pytest.mark.parametrize("overlap", [0.0, 1e-10, 1e-3])
+def test_bodies_that_overlap_by_a_hair_touch(overlap):
+    """Two blocks of one surface that overlap on the mesh, by nothing, round-off or a hundredth of a facet: pressed, they bear
+    what their stiffness says. The other's face, just behind a point, was taken for the point's own far side."""
+    low = grid([np.linspace(0, 1, 5), np.linspace(0, 1, 5)], {(1, 0): 1, (1, -1): 3}, order=1)
+    up = grid(
+        [np.linspace(0, 1, 6), np.linspace(0, 1, 6)],
+        {(1, 0): 3, (1, -1): 2},
+        order=1,
+        place=lambda x: x + np.array([0.0, 1.0 - overlap]),
+    )
+    domain, _, tags = build([low, up])
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u, top = fem.Function(V), fem.Constant(domain, np.zeros(2))
+    bcs = [
+        fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, tags.find(tag)), V)
+        for tag, value in ((1, np.zeros(2)), (2, top))
+    ]
+    body = Body(u, materials.neo_hookean(1e6, 0.0), bcs=bcs)
+    problem = ContactProblem(body, contacts=[Contact(Surface(domain, tags, 3), friction=0.0)])
+    for _ in quasistatic.march(problem, top, to=(0.0, -0.02), increments=2):
+        pass
+    strain = (0.02 + overlap) / 2  # ν = 0: a bar, and a neo-Hookean one is stiffer by half of that in compression
+    assert reaction(problem, bcs[0]).force[1] == pytest.approx(1e6 * strain, rel=0.02)
 
 
 # ---------------------------------------------------------------- a wall beside a thick part
