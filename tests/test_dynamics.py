@@ -271,7 +271,7 @@ def test_a_load_that_is_taken_away_leaves_what_it_has_stored():
     """A block pressed on a plane by a body force, in statics, that is gone when the march begins: all of the energy is still
     there, and becomes motion; with what parts the overlap that statics leaves at the edges of contact, 2.7 %."""
     domain, _, tags = build([grid([np.linspace(0, 1, 5), np.linspace(0, 1, 5)], {(1, 0): 1})])
-    V, u = space(domain, 2)
+    _, u = space(domain, 2)
     load, law = fem.Constant(domain, np.zeros(2)), materials.neo_hookean(1e6, 0.3)
     body = Body(u, law, density=1000, external=[(load, ufl.dx(domain))])
     contact = Contact(Surface(domain, tags, 1), obstacles.RigidPlane([0.0, 0.0], [0.0, 1.0]), friction=0.3)
