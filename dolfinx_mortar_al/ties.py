@@ -47,6 +47,9 @@ WEAK_TO_MULTIGRID = 1e-3  # where multigrid inverts it
 PUSHED = 0.01  # of the contact forces: what loads push with must be resisted by more than a tie
 SOFTER = 0.1  # a tie at the next place, where a load pushes its piece against others: what it bears falls tenfold, too,
 SOFTEST = 1e-9  # where all points slip and a spring of a millionth of the bodies' stiffness holds
+THROWN = (
+    1.0  # of a piece's radius, root mean squares of both: farther from where it was expected is no equilibrium near by
+)
 HISTORY = ("anchor", "resistance", "borne")
 
 
@@ -123,6 +126,12 @@ class Ties:
     def is_unstable(self) -> bool:
         """Whether the last equilibrium is one that a piece would leave, along a motion that it is driven on in."""
         return bool(np.linalg.eigvalsh((self.resistance + self.resistance.T) / 2)[0] < -NEUTRAL)
+
+    def has_thrown(self, way: Array) -> bool:
+        """Whether displacements `way` (owned dofs,) carry a piece by more than its radius (collective)."""
+        square = self._by_piece(np.sum(way.reshape(len(self._piece), -1) ** 2, axis=1))
+        moved = np.sqrt(sum_over(self._bodies.comm, square) / self._nodes)
+        return bool((moved > THROWN * self._sizes())[self._pieces].any())
 
     def _by_piece(self, values: Array) -> Array:
         """(pieces, ...) sums of nodal values (owned nodes, ...) of this rank."""

@@ -339,6 +339,20 @@ def test_a_block_is_not_stood_on_the_corner_that_it_is_pushed_from():
     assert 11.0 < traction.value[0] < 12.5  # in other increments it topples between 11.4 and 11.9
 
 
+def test_a_body_that_is_thrown_is_carried_by_more_than_its_radius():
+    """A roller between plates, .71 R in the root mean square: moved, or turned by half a turn."""
+    problem = roller(0.3)[0]
+    body = problem.bodies.bodies[0]
+    X = body.positions()
+    for way, thrown in (
+        (np.full_like(X, 0.4 * R), False),
+        (np.full_like(X, 0.9 * R), True),
+        (-2.0 * (X - [0.0, R]), True),
+    ):
+        u = [way if one is body else 0.0 * one.positions() for one in problem.bodies.bodies]
+        assert problem.ties.has_thrown(np.concatenate([part.ravel() for part in u])) == thrown
+
+
 @pytest.mark.parametrize("degrees", [3.0, 6.0])
 def test_a_shallow_wedge_is_held_by_its_slope(degrees):
     """Half of a steel wedge (mm, N) slides down a block without friction under a dead load, and comes back. What resists is
