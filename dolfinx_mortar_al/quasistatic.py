@@ -310,15 +310,13 @@ def _alike(problem: ContactProblem, a: Array, b: Array) -> bool:
 
 def _solve(problem: ContactProblem, solver: NewtonSolver, path: Path | None = None) -> Attempt:
     """Newton from the present prediction."""
-    start = problem.bodies.get()
-    return _judged(problem, solver.solve(path), start)
+    return _judged(problem, solver.solve(path))
 
 
-def _judged(problem: ContactProblem, result: NewtonResult, start: Array) -> Attempt:
-    """An attempt that began with displacements `start` (owned dofs,) and ended so; a fatal finding of a monitor counts as a
-    failure."""
+def _judged(problem: ContactProblem, result: NewtonResult) -> Attempt:
+    """An attempt that ended so; a fatal finding of a monitor counts as a failure."""
     findings = problem.findings() if result.converged else []
-    if result.converged and _is_unstable(problem, result, start):
+    if result.converged and _is_unstable(problem, result):
         findings.append(UNSTABLE)
     fatal = [str(f) for f in findings if f.fatal]
     if fatal:
@@ -328,15 +326,14 @@ def _judged(problem: ContactProblem, result: NewtonResult, start: Array) -> Atte
     return Attempt(result.converged and not fatal, result, message, findings, cut)
 
 
-def _is_unstable(problem: ContactProblem, result: NewtonResult, start: Array) -> bool:
+def _is_unstable(problem: ContactProblem, result: NewtonResult) -> bool:
     """Whether bodies would leave a converged state, as the sign of a determinant tells. Where nothing resists a slide of
     bodies that contact alone holds it is round-off's, and a coarse wheel that stands on a corner need not roll off: of
-    those a state counts that is far from where the solve began, or that wild iterates have led to and in which something
-    drives a motion on."""
+    those a state counts to which they were thrown, or that wild iterates have led to and in which something drives a motion
+    on."""
     if not result.unstable or problem.ties is None or not problem.floating:
         return result.unstable
-    drives = result.wild and problem.ties.is_unstable
-    return drives or problem.ties.has_thrown(problem.bodies.get() - start)
+    return problem.ties.has_thrown() or (result.wild and problem.ties.is_unstable)
 
 
 class _LoadControl(Controller[Step]):
@@ -434,7 +431,7 @@ class _LoadControl(Controller[Step]):
         self._tried = self._words(leg, self._x)
         with leg.watch:
             leg.load.set(leg.value(self._x))
-        attempt = _judged(p, relax(p, self.solver), before)
+        attempt = _judged(p, relax(p, self.solver))
         self._restless = not attempt.good
         if attempt.good:
             attempt.findings.append(Finding("leap (m)", *p.bodies.farthest(p.bodies.get() - before), MOVED_ON, False))

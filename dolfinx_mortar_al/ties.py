@@ -116,6 +116,9 @@ class Ties:
         self.motions: Array = np.zeros((0, len(diagonal)))
         self.ways: Array = np.zeros((0, len(diagonal)))
         self.softness = 1.0
+        # where the present solve began, and (pieces,) which something held then in some direction
+        self._start: Array = self.anchor
+        self._was_held: Flags = np.zeros(bodies.pieces, dtype=bool)
 
     @property
     def acts(self) -> bool:
@@ -127,11 +130,13 @@ class Ties:
         """Whether the last equilibrium is one that a piece would leave, along a motion that it is driven on in."""
         return bool(np.linalg.eigvalsh((self.resistance + self.resistance.T) / 2)[0] < -NEUTRAL)
 
-    def has_thrown(self, way: Array) -> bool:
-        """Whether displacements `way` (owned dofs,) carry a piece by more than its radius (collective)."""
-        square = self._by_piece(np.sum(way.reshape(len(self._piece), -1) ** 2, axis=1))
-        moved = np.sqrt(sum_over(self._bodies.comm, square) / self._nodes)
-        return bool((moved > THROWN * self._sizes())[self._pieces].any())
+    def has_thrown(self) -> bool:
+        """Whether a piece that something held in the last equilibrium is farther than its radius from where this solve began
+        (collective)."""
+        way = (self._bodies.get() - self._start).reshape(len(self._piece), -1)
+        square = sum_over(self._bodies.comm, self._by_piece(np.sum(way**2, axis=1)))
+        thrown = self._was_held & (np.sqrt(square / self._nodes) > THROWN * self._sizes())
+        return bool(thrown[self._pieces].any())
 
     def _by_piece(self, values: Array) -> Array:
         """(pieces, ...) sums of nodal values (owned nodes, ...) of this rank."""
@@ -146,6 +151,8 @@ class Ties:
         that what touches does not hold: of the squares of motions (owned dofs, motions) `holding` gives the mean of what it
         holds, (motions, motions) (collective)."""
         self.borne[:], self.let_be[:], self.softness = 0.0, False, 1.0
+        self._start = self._bodies.get()
+        self._was_held = np.abs(self.resistance).reshape(self._bodies.pieces, -1).max(axis=1, initial=0.0) > NEUTRAL
         if holding is None:
             self.engage()
             return
