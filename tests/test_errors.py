@@ -727,7 +727,7 @@ def test_a_march_that_is_another_on_one_rank():
         (lambda: dynamics.march(moving, to=1.0, until=event), "until: whether it is passed"),
         (lambda: march(stages[1:] * (1 + here), None, None), "load: how many stages: 2 on rank 0, 1 on rank 1"),
         (lambda: march(solver=solver if here else None), "solver: whether it is passed"),
-        (lambda: march(smallest=smallest), r"smallest: \(0\.0, 0\.1\) on rank 0"),
+        (lambda: march(smallest=smallest), "smallest: 0.1 on rank 0"),
         (lambda: follow(smallest=smallest), "smallest: .* on rank 0"),
         (lambda: dynamics.march(moving, to=1.0, smallest=smallest), "smallest, Δt: .* on rank 0"),
     ]:
