@@ -223,8 +223,10 @@ class _TimeControl(Controller[Step]):
             pair.begin_step()
         problem.force_reference = 0.0
         problem.dashpots = problem.holding_dashpots()
-        pressed = self.solver.solve().converged and any(pair.is_pressed() for pair in problem.pairs)
-        problem.dashpots = None
+        try:
+            pressed = self.solver.solve().converged and any(pair.is_pressed() for pair in problem.pairs)
+        finally:
+            problem.dashpots = None
         if any_over(problem.comm, pressed):
             for motion in self.motions:
                 motion.take_up()

@@ -38,6 +38,8 @@ class Supports:
         by differences over a small part of the step; a way that begins with a jump, or a velocity that is not one of the
         step, has none."""
         problem, ε = self._problem, INSTANT * Δt
+        if not any_over(problem.comm, self.held.any()):
+            return
         at = []
         for t in (time, time + ε, time + 2 * ε, time + Δt):
             move(t)
