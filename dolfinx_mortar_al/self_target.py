@@ -60,7 +60,7 @@ class SelfTarget(DeformableTarget):
         self._least = np.zeros(0) if surface.is_membrane else HALF * facets.cell_depths()
         self._depth: Array = np.full(facets.size, DEEP * self.size)  # of a membrane, which has no thickness
         if not surface.is_membrane:
-            self._thickness = _Thickness(surface.mesh, facets, bodies)
+            self._thickness = _Thickness(surface.mesh, facets, bodies, self._least)
             self.refresh()
 
     def refresh(self) -> None:
@@ -128,9 +128,9 @@ class SelfTarget(DeformableTarget):
 
 class _Thickness:
     """How far the body reaches behind each facet of a contact surface: the distance of a few points of the facet from the
-    material points straight behind them, on the far side of the undeformed body."""
+    material points straight behind them, on the far side of the undeformed body, at `least` (nf,) so far behind (m)."""
 
-    def __init__(self, domain: mesh.Mesh, facets: Facets, bodies: Bodies) -> None:
+    def __init__(self, domain: mesh.Mesh, facets: Facets, bodies: Bodies, least: Array) -> None:
         domain.topology.create_connectivity(domain.topology.dim - 1, domain.topology.dim)
         outer = mesh.exterior_facet_indices(domain.topology)
         tags = mesh.meshtags(domain, domain.topology.dim - 1, np.sort(outer), np.ones(len(outer), dtype=np.int32))
@@ -139,8 +139,7 @@ class _Thickness:
         self._η = facets.shape.quadrature(2 * facets.shape.order)[0]
         self._N, self._dN = facets.shape.tabulate(self._η, 1)
         x, normal = self._points(facets.X)
-        least = np.repeat(HALF * facets.cell_depths(), len(self._η))
-        self._behind, self._found = _far_side(self._far.surface, x, normal, least)
+        self._behind, self._found = _far_side(self._far.surface, x, normal, np.repeat(least, len(self._η)))
         self._weights = self._far.weights(self._behind)
 
     def _points(self, nodes: Array) -> tuple[Array, Array]:
