@@ -47,6 +47,10 @@ BETWEEN = (
     "the surfaces overlap between the integration points, which do not feel it; refine the contactor, raise "
     'quadrature_degree, or take integration="segments"'
 )
+ON_AVERAGE = (
+    "the surfaces overlap within facets that are in contact, which holds them apart on the average; swap contactor and "
+    "target, or refine both there"
+)
 FOLDS = "a membrane has folded over in the step, which it does in compression alone; take smaller steps"
 SHARE = 0.02  # of the longer facet: what overlaps by less is an error of the mesh
 FOLDED = -0.5  # cosine of the normals of a facet and its neighbour, or in its middle and elsewhere on it
@@ -150,12 +154,14 @@ class _Points:
 @dataclass
 class _Found:
     """Of points at X (n, gdim): passed (n,) which have been carried through; depth (n,) how deep the others are unfelt, as a
-    share of the longer facet; missed (n,) which are deeper than contact can leave them."""
+    share of the longer facet; missed (n,) which are deeper than contact can leave them; silent (n,) beside which nothing is
+    or was in contact."""
 
     X: Array
     passed: Bool
     depth: Array
     missed: Bool
+    silent: Bool
 
 
 class Unfelt:
@@ -267,7 +273,7 @@ class Unfelt:
             suspect |= other.depth_behind(points.x) > np.maximum(least - 2 * other.bulge(), 0.0)
         points, passed = points.take(suspect), passed[suspect]
         if not any_over(self._comm, suspect.any()):
-            return _Found(points.X, passed, np.zeros(0), passed)
+            return _Found(points.X, passed, np.zeros(0), passed, passed)
         at = other.target.closest(points.x)
         facet = at.point.facet
         longer = np.maximum(points.extent, other.target.extents[facet])
@@ -295,7 +301,8 @@ class Unfelt:
         passed = passed_through(
             target.surface, before, target.nodes, x0[free], now.x[free], DEPTH * target.size, counts
         )
-        return _Found(X[free], passed, np.zeros(len(free)), np.zeros(len(free), dtype=bool))
+        nowhere = np.zeros(len(free), dtype=bool)
+        return _Found(X[free], passed, np.zeros(len(free)), nowhere, nowhere)
 
     def _folds(self, sides: tuple[_Side, ...]) -> list[Finding]:
         """Membranes that have folded over."""
@@ -309,18 +316,21 @@ class Unfelt:
 
     def _findings(self, found: list[_Found]) -> list[Finding]:
         """In words, on all ranks (collective)."""
-        X, passed, depth, missed = (np.concatenate([getattr(part, name) for part in found]) for name in vars(found[0]))
+        X, passed, depth, missed, silent = (
+            np.concatenate([getattr(part, name) for part in found]) for name in vars(found[0])
+        )
         through = [tuple(x) for part in self._comm.allgather(X[passed].tolist()) for x in part]
         if through:
             name = f"{self._name}: points passed through"
             return [Finding(name, float(len(through)), through[0], PASSED, True)]
         k = np.lexsort([depth, missed])[-1:]  # the deepest of those that were missed, or else the deepest
-        mine = [(bool(missed[i]), float(depth[i]), tuple(X[i].tolist())) for i in k]
-        worst = max([one for part in self._comm.allgather(mine) for one in part], default=(False, 0.0, ()))
-        if not worst[0] and worst[1] <= SHARE:
+        mine = [(bool(missed[i]), float(depth[i]), tuple(X[i].tolist()), bool(silent[i])) for i in k]
+        every = [one for part in self._comm.allgather(mine) for one in part]
+        is_missed, deepest, place, is_silent = max(every, default=(False, 0.0, (), True))
+        if not is_missed and deepest <= SHARE:
             return []
-        name, meaning = f"{self._name}: overlap that is not felt (facets)", MISSED if worst[0] else BETWEEN
-        return [Finding(name, worst[1], worst[2], meaning, worst[0])]
+        meaning = MISSED if is_missed else BETWEEN if is_silent else ON_AVERAGE
+        return [Finding(f"{self._name}: overlap that is not felt (facets)", deepest, place, meaning, is_missed)]
 
 
 def _found(points: _Points, passed: Bool, depth: Array, silent: Bool, reach: Array, longer: Array) -> _Found:
@@ -328,4 +338,5 @@ def _found(points: _Points, passed: Bool, depth: Array, silent: Bool, reach: Arr
     that are too deep for an error of meshes whose longer facets are `longer` (n,). Missed are such that are `loose` besides,
     and deeper than integration points are away, `reach` (n,)."""
     far = depth > DEEPEST * longer
-    return _Found(points.X, passed, np.where(silent | far, depth, 0.0) / longer, points.loose & far & (depth > reach))
+    missed = points.loose & far & (depth > reach)
+    return _Found(points.X, passed, np.where(silent | far, depth, 0.0) / longer, missed, silent)
