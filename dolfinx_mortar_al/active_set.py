@@ -149,10 +149,15 @@ class ActiveSet:
         vector.array[vector.array_r == 0.0] = 1.0
         return vector
 
+    def lost(self, state: LawState, kinematics: Kinematics) -> Bool:
+        """(n,) points that slid off for good, and penetrate the target now."""
+        lost: Bool = self._left & kinematics.may_close & (state.λN_hat > 0)
+        return lost
+
     def pardon(self, state: LawState, kinematics: Kinematics) -> bool:
-        """Once in a solve that has converged: give points that slid off for good, and penetrate the target now, one more
-        chance, since Newton may have thrown them off on its way; whether there are any (collective)."""
-        back = self._left & kinematics.may_close & (state.λN_hat > 0)
+        """Once in a solve that has converged: give points that are lost one more chance, since Newton may have thrown them
+        off on its way; whether there are any (collective)."""
+        back = self.lost(state, kinematics)
         if self._pardoned or not any_over(self._comm, back.any()):
             return False
         self._losses[back], self._pardoned = LOSSES - 1, True

@@ -73,8 +73,8 @@ class Blocks:
         self.left_out_at_corners: Bool | None = None
         # (nf, nodes × components, nodes × components) what may hold the multiplier smooth, None where nothing does
         self._smoothing: Array | None = None
-        #: whether that is to stay as it is, whatever opens or closes
-        self.holds_smoothness = False
+        #: whether both are to stay as they are, whatever opens or closes
+        self.holds_facets = False
         #: (nf,) how much of it counts
         self.smoothed: Array = np.zeros(len(contactor))
         self._gauss = points
@@ -122,7 +122,7 @@ class Blocks:
     def smooth(self, closed: Bool) -> None:
         """Let what holds the multiplier smooth count on facets that are closed altogether, when the points `closed` (n,) are,
         without those at sharp corners, in which some nodes have no part (collective)."""
-        if self._smoothing is None or self.holds_smoothness:
+        if self._smoothing is None or self.holds_facets:
             return
         zone = np.zeros(len(self.contactor), dtype=bool)
         zone[self.points.facet[closed]] = True
@@ -138,7 +138,7 @@ class Blocks:
     def leave_out_at_corners(self, closed: Bool) -> bool:
         """Where the contactor has sharp corners, choose in which facets their nodes have a part, in the multiplier and in its
         tests, when the points `closed` (n,) are; whether that is a change on this rank (collective)."""
-        if self.corners is None:
+        if self.corners is None or (self.holds_facets and self.left_out_at_corners is not None):
             return False
         whole, part = (self.points.sum_by_facet(w) for w in (self._weights, self._weights * closed[:, None]))
         out = self.corners.left_out(whole, part)

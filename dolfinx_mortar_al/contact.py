@@ -534,7 +534,7 @@ class ContactPair(PairFindings):
             self.law = replace(self.law, μ=self.friction_coefficient)
             self._doubt(self.law.μ)
         self._hold_flat()
-        self.blocks.holds_smoothness = False
+        self.blocks.holds_facets = False
         self._divide()
         self.active.begin(self._converged.closed[self.integration.facet])
         if self.target_end is not None:
@@ -649,10 +649,11 @@ class ContactPair(PairFindings):
         changed = self.active.decide(self.state, self.kinematics, residual, self.unit, self.epsilon.normal)
         return any_over(self.comm, changed)
 
-    def hold_smoothness(self) -> bool:
-        """Let facets be held smooth that are so now, whatever opens or closes from now on in a solve; whether any may be."""
-        new = self.blocks.is_smoothing and not self.blocks.holds_smoothness
-        self.blocks.holds_smoothness = True
+    def hold_facets(self) -> bool:
+        """Let what opening and closing decides for whole facets, which are held smooth and which have a part in a sharp
+        corner, be as it is from now on in a solve; whether there may be any that are not held yet."""
+        new = (self.blocks.is_smoothing or self.blocks.corners is not None) and not self.blocks.holds_facets
+        self.blocks.holds_facets = True
         return new
 
     def hold_turned(self) -> bool:
@@ -674,6 +675,14 @@ class ContactPair(PairFindings):
         wrong = self.active.at_odds(self.state, self.kinematics, self.epsilon.normal) + self.active.beyond(self.state)
         worst = max_over(self.comm, float(wrong.max(initial=0.0)))
         return worst / max(self.largest_pressure(), 1e-300) if worst > 0 else 0.0
+
+    def misses_most(self) -> bool:
+        """Whether points that slid off in this solve, and penetrate the target now, would bear more than all others do: no
+        flicker of the last one on the target (collective)."""
+        lost = self.active.lost(self.state, self.kinematics)
+        beyond = np.maximum(self.state.λN_hat - self.epsilon.normal * self.kinematics.touch, 0.0)
+        missed, borne = sum_over(self.comm, np.array([self.j @ np.where(lost, beyond, 0.0), self.j @ self.state.p]))
+        return bool(missed > max(borne, 0.0))
 
     def relative_motion(self) -> float:
         """How far the present displacements have moved closed points over the target since the last evaluation, in

@@ -256,6 +256,9 @@ class NewtonSolver:
             pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs
         ):
             pardoned = [pair.active.pardon(pair.state, pair.kinematics) for pair in self.problem.pairs]
+            if not any(pardoned) and (missing := [pair.name for pair in self.problem.pairs if pair.misses_most()]):
+                self.result.message = f"{', '.join(missing)}: points that slid off the target's end lie in the target"
+                return _Reason.DIVERGED_LOCAL_MIN
             if not any(pardoned) and self._bounds_are_stale():
                 return _Reason.CONVERGED_FNORM_ABS
             if not any(pardoned) and not self._slides(iteration):
@@ -313,7 +316,7 @@ class NewtonSolver:
                 )
                 self.result.message = f"the contact state cycles, {where}"
                 return _Reason.DIVERGED_LOCAL_MIN
-            if not any([pair.hold_smoothness() for pair in self.problem.pairs]) and not self._freeze(iteration):
+            if not any([pair.hold_facets() for pair in self.problem.pairs]) and not self._freeze(iteration):
                 self._damping = 0.5
                 for pair in self.problem.pairs:
                     pair.active.trust *= 10.0

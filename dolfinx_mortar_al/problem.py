@@ -538,13 +538,25 @@ class ContactProblem:
                     found.append(Finding(f"slide of {piece}", borne, (), SLIDE, fatal=False))
         return found
 
+    def _in_contact(self) -> NDArray[np.bool_]:
+        """(2, pairs) which pairs are in contact now, and were in the last equilibrium (collective)."""
+        here = np.array([(pair.active.closed.any(), pair.was_in_contact()) for pair in self.pairs], dtype=int)
+        return np.asarray(sum_over(self.comm, here.reshape(-1, 2)).T > 0)
+
+    def has_thrown_off(self) -> bool:
+        """Whether a piece that contact alone holds is far from where the last solve began, and nothing touches it
+        (collective)."""
+        if self.ties is None:
+            return False
+        touched = self._in_contact()[0] @ np.array(self._touched, dtype=int).reshape(-1, self.bodies.pieces)
+        return bool((self.ties.far() & (touched == 0)).any())
+
     def _let_go(self) -> list[Finding]:
         """Pieces that contact alone held in the last equilibrium and that nothing touches now; those that nothing presses on,
         other than in that one; and those on which round-off presses (collective)."""
         if not self.floating:
             return []
-        here = np.array([(pair.active.closed.any(), pair.was_in_contact()) for pair in self.pairs], dtype=int)
-        now, before = sum_over(self.comm, here.reshape(-1, 2)).T > 0
+        now, before = self._in_contact()
         pressing = self._pressing()
         self._free = np.asarray(pressing <= self._no_press())
         rounded = self._contact_round_off() / np.maximum(pressing, 1e-300)

@@ -48,6 +48,10 @@ LEAPT_OFF = (
     "all contact was lost in a step in which Newton's iterates were wild, as where an arch snaps through: it may be another "
     "equilibrium than the one that the bodies come to; take smaller steps"
 )
+THROWN_OFF = (
+    "a body that contact alone holds has been thrown off, by more than its size, which nothing but the size of the step can "
+    "have done; take smaller steps"
+)
 MOVED_ON = (
     "no equilibrium was found near the last one: the bodies let go, tip or snap there, or Newton's method did not get on; "
     "they were moved on, each node slowed by a dashpot, to where they come to rest, friction following their way; "
@@ -406,6 +410,8 @@ class _LoadControl(Controller[Step]):
             attempt.good, attempt.message = stepping.CUT * length < max(OFF, self.smallest), LEAPT_OFF
             for pair in (pair for pair, has in zip(self.problem.pairs, parted, strict=True) if has):
                 attempt.findings.append(Finding(f"{pair.name}: contact lost in a leap", 0.0, (), LEAPT_OFF, False))
+        if attempt.good and self.problem.has_thrown_off():
+            attempt.good, attempt.message = False, THROWN_OFF
         if attempt.good and attempt.newton.leapt and self._may_relax and not self._restless:
             # where Newton has landed is chance: the way there is found from nearby, with friction along it
             attempt.good, attempt.message = False, LEAPS

@@ -130,13 +130,16 @@ class Ties:
         """Whether the last equilibrium is one that a piece would leave, along a motion that it is driven on in."""
         return bool(np.linalg.eigvalsh((self.resistance + self.resistance.T) / 2)[0] < -NEUTRAL)
 
-    def has_thrown(self) -> bool:
-        """Whether a piece that something held in the last equilibrium is farther than its radius from where this solve began
+    def far(self) -> Flags:
+        """(pieces,) which of those that contact alone holds are farther than their radius from where this solve began
         (collective)."""
         way = (self._bodies.get() - self._start).reshape(len(self._piece), -1)
         square = sum_over(self._bodies.comm, self._by_piece(np.sum(way**2, axis=1)))
-        thrown = self._was_held & (np.sqrt(square / self._nodes) > THROWN * self._sizes())
-        return bool(thrown[self._pieces].any())
+        return self.tied & (np.sqrt(square / self._nodes) > THROWN * self._sizes())
+
+    def has_thrown(self) -> bool:
+        """Whether a piece that something held in the last equilibrium is far from where this solve began (collective)."""
+        return bool((self._was_held & self.far()).any())
 
     def _by_piece(self, values: Array) -> Array:
         """(pieces, ...) sums of nodal values (owned nodes, ...) of this rank."""

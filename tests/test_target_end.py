@@ -8,6 +8,8 @@ import pytest
 from scenes import assert_tangent, beams, rough, set_field
 from test_corners import DEPTH, PRESS, block_on_slab, march
 
+from dolfinx_mortar_al.active_set import LOSSES
+
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from patch_test import pressure_error, squeezed_shells
 from robustness_scenes import Stage
@@ -48,6 +50,21 @@ def held_beyond(dim, triangles, order, friction):
 
     at(0.0)
     return problem, at, lambda: set_field(problem, *direction)
+
+
+def test_points_that_are_missed_are_told_from_a_flicker_at_the_end():
+    """Of a pressed pair's points one may have slid off for good and lie in the target; not those that bear most of it."""
+    problem, _ = beams(friction=0.3, mesh={"along": (9, 8), "across": 1, "gap": GAP}, epsilon_normal=EPS)
+    pair = problem.pairs[0]
+    set_field(problem, lambda X: np.stack([0 * X[:, 0], -2 * GAP * (X[:, 1] > GAP / 2)], axis=1))
+    pair.active.closed = pair.at.facing.copy()
+    problem.evaluate()
+    assert count(problem, pair.active.closed) > 10
+    for share, missed in ((0.1, False), (0.9, True)):
+        lost = pair.active.closed & (pair.kinematics.x[:, 0] > 1.0 - share)
+        pair.active.closed[lost], pair.active._losses[lost] = False, LOSSES
+        problem.evaluate()
+        assert pair.misses_most() is missed
 
 
 def count(problem, which):
