@@ -369,3 +369,17 @@ def test_bad_input(options, words):
     u = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (2,))))
     with pytest.raises(ValueError, match=words):
         dynamics.Motion(u, materials.neo_hookean(1.0, 0.3), **({"density": 1.0, "step": 1.0} | options))
+
+
+def test_a_weak_load_acts_in_a_short_step():
+    """A load far below the round-off of the forces by which mass resists so short a step: it falls as any other."""
+    _, motion = disc(velocity=lambda x: 0 * x[:2], gap=0.5)
+    mesh, w = motion.u.function_space.mesh, ufl.TestFunction(motion.u.function_space)
+    weight = -6000 * 0.02 * w[1] * ufl.Measure("dx", mesh)
+    motion = dynamics.Motion(
+        motion.u, materials.neo_hookean(1.333e6, 0.333), density=6000, step=1e-8, thickness=0.02, external=weight
+    )
+    problem = ContactProblem(motion)
+    for _ in dynamics.march(problem, to=2e-7):
+        pass
+    assert motion.momenta()[1] == pytest.approx(-motion.mass * 2e-7, rel=1e-6)
