@@ -10,6 +10,7 @@ from dolfinx_mortar_al import (
     Body,
     Contact,
     ContactProblem,
+    NewtonSolver,
     Surface,
     dynamics,
     materials,
@@ -383,3 +384,14 @@ def test_a_weak_load_acts_in_a_short_step():
     for _ in dynamics.march(problem, to=2e-7):
         pass
     assert motion.momenta()[1] == pytest.approx(-motion.mass * 2e-7, rel=1e-6)
+
+
+def test_a_rejected_step_is_not_advised_to_move():
+    """What moves is told of neither springs nor holds: a step that fails names what else is wrong."""
+    problem, _ = disc(velocity=lambda x: np.stack([0 * x[0], -30.0 + 0 * x[1]]), step=1e5)
+    assert problem.floating
+    solver = NewtonSolver(problem, rtol=1e-11, max_iterations=1)
+    with pytest.raises(dynamics.StepFailure) as failure:
+        list(dynamics.march(problem, to=1e5, solver=solver, smallest=0.5))
+    assert "no convergence" in str(failure.value)
+    assert "dynamics.march" not in str(failure.value)
