@@ -39,6 +39,9 @@ RTOL = 1e-11  # of Newton: what is left over shows up in the ledger
 GAIN = (
     1e-8  # of the total energy that contact may give in a step: what Newton's tolerance leaves, a thousand times over
 )
+COPIES = (
+    "they are kept as the displacement of the last step, and rates made of them count by θ only: pass Motion(old=…)"
+)
 SAFETY = 0.9  # of the Δt that would just meet the tolerance
 FAR = 2.0  # times the tolerance beyond which a step is repeated
 
@@ -327,9 +330,14 @@ class _TimeControl(Controller[Step]):
             self._fly()
         problem.force_reference = self._inertia_scale(Δt)
         result = self.solver.solve()
-        findings = problem.findings() if result.converged else []
+        findings = problem.findings() + self._copies() if result.converged else []
         faults = self._faults(findings) if result.converged else []
         return Attempt(result.converged and not faults, result, "; ".join(faults) or result.message, findings)
+
+    def _copies(self) -> list[Finding]:
+        """Whether forms have the last displacement without their motions' knowing (collective)."""
+        copies = sum(motion.copies() for motion in self.motions)
+        return [Finding("Functions of forms with the values of 𝐮_n", copies, (), COPIES, fatal=False)] if copies else []
 
     def _fly(self) -> None:
         """Start from 𝐮_n + Δt 𝐯_n, where bodies are at the end of the step without forces."""

@@ -2,7 +2,8 @@
 
 Where a stored energy is known its change is exactly the work of the step's mean stress (Gonzalez's discrete gradient). Of any
 other residual G(u; w) the step takes θ G(u₁; w) + (1−θ) G(u₀; w), and the ledger the work (G(u₀; Δu) + G(u₁; Δu))/2 of each
-step: the trapezoidal rule along the path, which for θ = 1/2 is what the step's forces do.
+step: the trapezoidal rule along the path, which for θ = 1/2 is what the step's forces do. A form may hold 𝐮_n
+itself, for the rate (u − old)/Δt of a viscous stress, say: it is the same at both ends.
 """
 
 from __future__ import annotations
@@ -68,6 +69,6 @@ def internal_work(part: Part, u: fem.Function, old: fem.Function, *, theta: floa
 
 def _of_form(form: Any, u: fem.Function, old: fem.Function, θ: float) -> InternalWork:
     (w,) = form.arguments()
-    start = ufl.replace(form, {u: old})
+    start = ufl.replace(form, {u: old, old: 2 * old - u})  # so that u − old, of which rates are made, stays
     work = 0.5 * ufl.replace(start, {w: u - old}) + 0.5 * ufl.replace(form, {w: u - old})
     return InternalWork(θ * form + (1 - θ) * start, None, work, WORK)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.body import Body, Material
 from dolfinx_mortar_al.internal_work import TRAPEZOIDAL, WORK, internal_work
 from dolfinx_mortar_al.materials import cell_measure
-from dolfinx_mortar_al.reductions import sum_over
-from dolfinx_mortar_al.validation import check_dead, number
+from dolfinx_mortar_al.reductions import any_over, sum_over
+from dolfinx_mortar_al.validation import check_dead, check_scalar, number
 from dolfinx_mortar_al.versions import whole_form
 
 __all__ = ["Motion"]
@@ -30,20 +30,25 @@ class Motion:
         u: the :class:`~dolfinx_mortar_al.body.Body`, which says all but the scheme; or its displacement (m), at the start
             state, with what follows in the words of a Body.
         material, density, thickness, external: as of a Body; loads must be dead.
-        step: Δt (s), the longest that will be used.
+        step: Δt (s), the longest that will be used. A Constant in place of a number is one that forms may hold: a march
+            sets it to the Δt of each trial, and back at its end.
         theta: θ of the scheme, 1/2 ≤ θ ≤ 1; anything but 1/2 dissipates.
         force: "consistent", whose energy balance is exact (with θ = 1/2), or "trapezoidal", θ-weighted end forces, which a
             form has in any case.
+        old: of forms that hold the displacement of the last step, the Function of u's space that they hold: rates are
+            ``(u - old) / Δt``. The motion keeps it; a form without it has a Function of the motion's own.
 
     Attributes:
         body: the Body.
         residual: UFL form of the step, which :class:`~dolfinx_mortar_al.problem.ContactProblem` takes from the motion.
         velocity: 𝐯_n (m/s), a Function to interpolate the initial velocity into.
+        old: 𝐮_n (m).
+        time_step: Δt (s).
         known: how the ledger knows the strain energy, in words.
 
     Raises:
-        ValueError: on every rank: a step, θ or force out of range, no density, a load that depends on u, what a Body refuses,
-            or what a Body says said again.
+        ValueError: on every rank: a step, θ or force out of range, no density, a load that depends on u, an `old` that no
+            form holds or that is not of u's space, what a Body refuses, or what a Body says said again.
     """
 
     def __init__(
@@ -52,14 +57,15 @@ class Motion:
         material: Material | Sequence[tuple[Material, ufl.Measure]] | None = None,
         *,
         density: Any = None,
-        step: float,
+        step: float | fem.Constant,
         theta: float = 0.5,
         force: str = "consistent",
         thickness: Any = None,
         external: Any = None,
+        old: fem.Function | None = None,
     ) -> None:
         self.body = body = _body_of(u, material=material, density=density, thickness=thickness, external=external)
-        step = number("step", step, above=0.0, must="Δt (s) must be")
+        self.time_step = _time_step_of(step, body.u)
         self.theta = theta = number("theta", theta, least=0.5, most=1.0, must="θ must be")
         if not isinstance(force, str) or force not in ("consistent", "trapezoidal"):
             raise ValueError(f'force = "{force}": "consistent" or "trapezoidal"')
@@ -69,8 +75,7 @@ class Motion:
         self.u, self.dx, self.bcs, self.external = body.u, body.dx, body.bcs, body.external
         self.density, self.thickness, self.width = body.density, body.thickness, body.width
         V = self.u.function_space
-        self.old, self.velocity = self.u.copy(), fem.Function(V, name="velocity")
-        self.time_step = fem.Constant(V.mesh, step)
+        self.old, self.velocity = _old_of(body, old), fem.Function(V, name="velocity")
         self.works = [
             internal_work(part, self.u, self.old, theta=theta, consistent=force == "consistent") for part in body.parts
         ]
@@ -83,6 +88,8 @@ class Motion:
         loads = None if self.external is None else ufl.replace(self.external, {w: self.u - self.old})
         self._external_work = None if loads is None else self._compiled(loads)
         self._internal = [self._compiled(work.work) for work in self.works if work.work is not None]
+        self._others = self._of_same_space()
+        self._begun = self.old.x.array.copy()  # 𝐮 at the start of a march
         self._done = 0.0  # by internal forces without a stored energy, since the start (J)
         self._energies = self.energy_forms()
         self._momenta = self._momentum_forms()
@@ -90,6 +97,13 @@ class Motion:
     def _per_mass(self, quantity: Any) -> Any:
         """∫ ρ h quantity over all parts, as a form."""
         return sum(part.depth * part.density * quantity * part.dx for part in self.body.parts)
+
+    def _of_same_space(self) -> list[fem.Function]:
+        """The Functions of u's space in forms, other than u and old."""
+        forms = [part.material for part in self.body.parts if isinstance(part.material, ufl.Form)]
+        fields = dict.fromkeys(field for form in forms for field in form.coefficients())
+        known = (self.u, self.old)
+        return [f for f in fields if f not in known and f.ufl_function_space() == self.u.function_space]
 
     @property
     def densities(self) -> list[Any]:
@@ -180,6 +194,14 @@ class Motion:
         """𝐮_n ← 𝐮: a march begins where the body has been put (collective)."""
         self.u.x.scatter_forward()
         self.old.x.array[:] = self.u.x.array
+        self._begun = self.old.x.array.copy()
+
+    def copies(self) -> int:
+        """How many Functions in forms, other than `old`, have followed 𝐮_n since the march began (collective)."""
+        comm, now = self.u.function_space.mesh.comm, self.old.x.array
+        if not self._others or not any_over(comm, not np.array_equal(now, self._begun)):
+            return 0
+        return sum(not any_over(comm, not np.array_equal(f.x.array, now)) for f in self._others)
 
     def fly(self, share: float) -> None:
         """𝐮 ← 𝐮_n + share × Δt 𝐯_n, where a body is without forces after a share of the step: in the middle the step's points
@@ -206,6 +228,28 @@ class Motion:
         """Back to a snapshot."""
         self.old.x.array[:], self.velocity.x.array[:] = saved["old"], saved["velocity"]
         self._done = float(saved["work"][0])
+
+
+def _time_step_of(step: float | fem.Constant, u: fem.Function) -> fem.Constant:
+    """Δt (s) as a Constant, which is the user's own if `step` is one."""
+    given = step if isinstance(step, fem.Constant) else None
+    Δt = number("step", step if given is None else given.value, above=0.0, must="Δt (s) must be")
+    if given is None:
+        return fem.Constant(u.function_space.mesh, Δt)
+    check_scalar("step", given)
+    return given
+
+
+def _old_of(body: Body, old: fem.Function | None) -> fem.Function:
+    """The Function for 𝐮_n, with the values of u."""
+    if old is None:
+        return body.u.copy()
+    if not isinstance(old, fem.Function) or old is body.u or old.function_space != body.u.function_space:
+        raise ValueError(f"old = {old}: pass the Function of u's space, other than u, that the forms hold")
+    if not any(isinstance(part.material, ufl.Form) and old in part.material.coefficients() for part in body.parts):
+        raise ValueError(f"old = {old}: no form of the body holds it; leave it out")
+    old.x.array[:] = body.u.x.array
+    return old
 
 
 def _body_of(u: fem.Function | Body, **said: Any) -> Body:

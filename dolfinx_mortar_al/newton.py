@@ -506,7 +506,7 @@ class NewtonSolver:
         """What a failed solve says of the equilibrium itself."""
         p = self.problem
         parts = [str(node) for pair in p.pairs if (node := pair.pushed_node()) is not None]
-        if p.floating:
+        if p.floating and not p.motions:  # inertia holds what moves
             rub = "" if all(pair.friction > 0 for pair in p.pairs) else "add friction, "
             off = self.snes.getFunction()[0].getNestSubVecs()[0]
             parts.append(

@@ -212,15 +212,15 @@ class ContactProblem:
         connected piece of a body, of which the worst counts; gaps against pressure over stiffness (collective).
 
         Forces below round-off count as none only where a whole Newton step has `corrected` the state: a load may be that
-        small beside the stiffness of the body it acts on, and be much for a softer one which that body presses. Nor may a
-        piece that nothing holds along an axis have a resultant there, but for what round-off of positions makes of contact.
+        small beside the stiffness of the body it acts on, and be much for a softer one which that body presses, or be all
+        that acts in a short time step. Nor may a piece at rest that nothing holds along an axis have a resultant there, but
+        for what round-off of positions makes of contact.
         """
         forces = [pair.nodal_forces() for pair in self.pairs]
         moving, reference = self.force_reference is not None, self.force_reference or 0.0
         scale = np.array(np.maximum(self.force_scale, reference))
         for force, touched in zip(forces, self._touched, strict=True):
             np.maximum(scale, force, out=scale, where=touched)
-        corrected |= moving
         seen = np.maximum(rtol * scale, self.force_floor * UNSEEN)
         if corrected:
             seen = np.maximum(seen, self._contact_round_off())

@@ -10,6 +10,7 @@ from dolfinx_mortar_al import (
     Body,
     Contact,
     ContactProblem,
+    NewtonSolver,
     Surface,
     dynamics,
     materials,
@@ -369,3 +370,28 @@ def test_bad_input(options, words):
     u = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (2,))))
     with pytest.raises(ValueError, match=words):
         dynamics.Motion(u, materials.neo_hookean(1.0, 0.3), **({"density": 1.0, "step": 1.0} | options))
+
+
+def test_a_weak_load_acts_in_a_short_step():
+    """A load far below the round-off of the forces by which mass resists so short a step: it falls as any other."""
+    _, motion = disc(velocity=lambda x: 0 * x[:2], gap=0.5)
+    mesh, w = motion.u.function_space.mesh, ufl.TestFunction(motion.u.function_space)
+    weight = -6000 * 0.02 * w[1] * ufl.Measure("dx", mesh)
+    motion = dynamics.Motion(
+        motion.u, materials.neo_hookean(1.333e6, 0.333), density=6000, step=1e-8, thickness=0.02, external=weight
+    )
+    problem = ContactProblem(motion)
+    for _ in dynamics.march(problem, to=2e-7):
+        pass
+    assert motion.momenta()[1] == pytest.approx(-motion.mass * 2e-7, rel=1e-6)
+
+
+def test_a_rejected_step_is_not_advised_to_move():
+    """What moves is told of neither springs nor holds: a step that fails names what else is wrong."""
+    problem, _ = disc(velocity=lambda x: np.stack([0 * x[0], -30.0 + 0 * x[1]]), step=1e5)
+    assert problem.floating
+    solver = NewtonSolver(problem, rtol=1e-11, max_iterations=1)
+    with pytest.raises(dynamics.StepFailure) as failure:
+        list(dynamics.march(problem, to=1e5, solver=solver, smallest=0.5))
+    assert "no convergence" in str(failure.value)
+    assert "dynamics.march" not in str(failure.value)

@@ -7,7 +7,7 @@ import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, membrane, obstacles
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, dynamics, materials, membrane, obstacles
 from dolfinx_mortar_al.internal_work import CONSISTENT, WORK
 from dolfinx_mortar_al.versions import geometry_nodes
 
@@ -179,3 +179,75 @@ def test_parts_of_other_quadrature_lose_nothing():
     assert motion.mass == pytest.approx(DENSITY, rel=1e-12)
     assert motion.kinetic_energy() == pytest.approx(2 * DENSITY, rel=1e-12)
     assert motion.momenta()[0] == pytest.approx(2 * DENSITY, rel=1e-12)
+
+
+VISCOSITY = 200.0  # Pa s
+
+
+def viscous_bar(*, given, step=1e-3):
+    """A free bar (Kelvin and Voigt's solid) of unit length in its first mode: motion, problem and the form's `old`."""
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [(0.0, 0.0), (1.0, 0.1)], (16, 1), mesh.CellType.quadrilateral)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u, old, Δt, w = fem.Function(V), fem.Function(V), fem.Constant(domain, step), ufl.TestFunction(V)
+    stress = E * strain(u) + VISCOSITY * strain(u - old) / Δt
+    form = ufl.inner(stress, strain(w)) * ufl.dx
+    motion = dynamics.Motion(u, form, density=DENSITY, step=Δt, old=old if given else None)
+    motion.velocity.interpolate(lambda x: np.stack([1e-3 * np.cos(np.pi * x[0]), 0 * x[0]]))
+    return motion, ContactProblem(motion), old
+
+
+def strain(u):
+    return ufl.sym(ufl.grad(u))
+
+
+@pytest.mark.parametrize("tolerance", [None, 5e-13])
+def test_a_viscous_form_has_all_of_its_viscosity(tolerance):
+    """The first mode decays at the rate ηω²/(2E), with steps of one length and of several; what is lost is in the books."""
+    motion, problem, _ = viscous_bar(given=True)
+    ω = np.pi * np.sqrt(E / DENSITY)
+    rate = VISCOSITY * ω**2 / (2 * E)
+    mode = ufl.cos(np.pi * ufl.SpatialCoordinate(motion.u.function_space.mesh)[0])
+    forms = [fem.form(field[0] * mode * ufl.dx) for field in (motion.u, motion.velocity)]
+
+    def amplitude():
+        q, v = (motion.integral(form) for form in forms)
+        return np.hypot(q, (v + rate * q) / np.sqrt(ω**2 - rate**2))
+
+    start, energy, lengths = amplitude(), motion.kinetic_energy(), set()
+    for step in dynamics.march(problem, to=0.3, tolerance=tolerance):
+        assert step.findings == ()
+        lengths.add(float(np.round(step.step, 9)))
+    assert (len(lengths) > 1) == (tolerance is not None)
+    assert np.log(start / amplitude()) / 0.3 == pytest.approx(rate, rel=0.01)
+    assert motion.kinetic_energy() < 0.9 * energy
+    assert step.ledger.total == pytest.approx(energy, rel=1e-9)
+
+
+def test_a_copy_of_the_last_displacement_is_found():
+    """A form's own Function that the loop sets to u after each step: half of the viscosity would be missing."""
+    motion, problem, old = viscous_bar(given=False)
+    found = []
+    for step in dynamics.march(problem, to=3e-3):
+        found.append([finding.meaning for finding in step.findings])
+        old.x.array[:] = motion.u.x.array
+    assert found[0] == []
+    assert all("Motion(old=…)" in meanings[0] for meanings in found[1:])
+
+
+def test_what_is_no_last_displacement():
+    motion, _, _ = viscous_bar(given=True)
+    u, other = motion.u, fem.Function(fem.functionspace(motion.u.function_space.mesh, ("Lagrange", 2, (2,))))
+    law, body = materials.neo_hookean(E, NU), motion.body
+    for old, material, words in [
+        (u, body, "other than u"),
+        (other, body, "the Function of u's space"),
+        (motion.velocity, body, "no form of the body holds it"),
+        (motion.old, law, "no form of the body holds it"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            dynamics.Motion(material if material is body else Body(u, law, density=DENSITY), step=1e-3, old=old)
+    whole = fem.Constant(u.function_space.mesh, np.float32(1))
+    with pytest.raises(ValueError, match="step: a Constant of float32"):
+        dynamics.Motion(body, step=whole)
+    with pytest.raises(ValueError, match="step = 0"):
+        dynamics.Motion(body, step=fem.Constant(u.function_space.mesh, 0.0))
