@@ -295,6 +295,7 @@ class NewtonSolver:
             self.problem.follow(snes.getFunction()[0])
         if self.problem.decide(snes.getFunction()[0]):
             self._set_since = iteration
+        self.problem.catch_slipping(snes.getFunction()[0], begins=iteration == 0)
 
     def _watch_pattern(self, iteration: int) -> int | None:
         """When the open/slip/stick pattern comes back to an earlier one: let what is held smooth stay so; then freeze the

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,6 +24,7 @@ from dolfinx_mortar_al.bodies import SLACK, Bodies
 from dolfinx_mortar_al.body import Body
 from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.given import Given
+from dolfinx_mortar_al.law import OPEN, SLIP, STICK
 from dolfinx_mortar_al.load import Loads
 from dolfinx_mortar_al.monitors import Finding, Monitor
 from dolfinx_mortar_al.motion import Motion
@@ -272,6 +274,9 @@ class ContactProblem:
         self.dashpots: Dashpots | None = None
         #: of pieces that contact alone holds; None if there are none
         self._pressed: Array = np.zeros(self.bodies.pieces)  # most of the contact forces in this solve (N)
+        self._slid: NDArray[np.bool_] = np.zeros(
+            len(self.pairs), dtype=bool
+        )  # pairs that slipped all over in this solve
         self.ties = None if self.springs is None else Ties(self.bodies, self.springs.array_r * self._spring_shares)
         # which pieces nothing presses on: as found last, and in the last equilibrium
         self._free: NDArray[np.bool_] = np.zeros(self.bodies.pieces, dtype=bool)
@@ -670,10 +675,27 @@ class ContactProblem:
         for pair, v in zip(self.pairs, self._relative(motions), strict=True):
             area = pair.j * pair.at.facing * np.any(v, axis=(1, 2))
             if not pair.friction:
-                v = np.einsum("nkd,nd->nk", v, pair.at.ν)[:, :, None]
+                v = self._normal(pair, v)
             total += np.einsum("n,nkd,nld->kl", area * pair.touches(), v, v)
             faced += float(area.sum())
         return np.asarray(sum_over(self.comm, total) / max(sum_over(self.comm, faced), 1e-300))
+
+    def _holding_now(self, slides: list[bool], motions: Array) -> Array:
+        """(motions, motions) sum over the pairs of such means over the area that is closed, where of pairs that slide all
+        over the normal parts count (collective)."""
+        total = np.zeros((motions.shape[1],) * 2)
+        for pair, v, slide in zip(self.pairs, self._relative(motions), slides, strict=True):
+            area = pair.j * (pair.state.status != OPEN)
+            v = self._normal(pair, v) if slide else v
+            total += sum_over(self.comm, np.einsum("n,nkd,nld->kl", area, v, v)) / max(
+                sum_over(self.comm, float(area.sum())), 1e-300
+            )
+        return total
+
+    @staticmethod
+    def _normal(pair: ContactPair, v: Array) -> Array:
+        """(n, motions, 1) the normal parts of relative velocities (n, motions, gdim)."""
+        return np.asarray(np.einsum("nkd,nd->nk", v, pair.at.ν)[:, :, None])
 
     def ties_bear(self) -> Bearing:
         """What ties bear, as shares of the contact forces on each piece (collective). Forces that balance each other on a
@@ -694,9 +716,29 @@ class ContactProblem:
         """At the start of a solve: along motions that next to nothing resisted in the last equilibrium, or before the first
         one along those that what touches does not hold (collective)."""
         if self.ties is not None:
-            self._pressed[:] = 0.0
+            self._pressed[:], self._slid[:] = 0.0, False
             first = any(pair.active.guessed for pair in self.pairs)
             self.ties.begin(self._holding if first else None)
+
+    def catch_slipping(self, f: PETSc.Vec, *, begins: bool) -> None:
+        """In the middle of a solve: where all points of another pair with friction slip tie what it alone held; f, the
+        residual, is brought up to date. What slips where it `begins` did so in the last equilibrium, in which what resists
+        was measured (collective)."""
+        if self.ties is None:
+            return
+        states = [pair.state.status for pair in self.pairs]
+        stick, slip = sum_over(self.comm, np.array([[(s == k).sum() for s in states] for k in (STICK, SLIP)]))
+        slides = [bool(n == 0) for n in stick]
+        new = (stick == 0) & (slip > 0) & np.array([pair.friction > 0 for pair in self.pairs], dtype=bool) & ~self._slid
+        if not new.any():
+            return
+        self._slid |= new
+        if begins:
+            return
+        self.bulk_forces.array[:] -= self.ties.forces()
+        self.ties.catch(partial(self._holding_now, slides))
+        self.bulk_forces.array[:] += self.ties.forces()
+        self.add_contact(f)
 
     def move_ties(self, f: PETSc.Vec, bear: Array, *, softer: bool) -> bool:
         """Tie the pieces to where the ties bear so much, (pieces, motions) in N, by softer ties if need be; f, the residual,

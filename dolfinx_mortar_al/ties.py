@@ -11,7 +11,8 @@ s = 1 a tie resists with a stiffness κ what it moves of a piece. When Newton ha
 are then, and the solve goes on: where something does resist the slide the tie bears less each time; where nothing does it
 bears the same again. Ties of pieces that loads push against others become softer each time.
 
-Before the first equilibrium nothing is pressed: tied are the motions that what touches could not hold.
+Before the first equilibrium nothing is pressed: tied are the motions that what touches could not hold. Where friction gives
+way in the middle of a solve, at all points of a pair, tied as well are from then on the motions that it alone held.
 """
 
 from __future__ import annotations
@@ -169,6 +170,23 @@ class Ties:
         R, admissible = self._admissible()
         self._tie(R, self._soft(admissible))
         return bool(np.abs(self._free - before).max(initial=0.0) > SAME)
+
+    def catch(self, holding: Callable[[Array], Array]) -> None:
+        """In the middle of a solve tie the pieces as well along the motions, of all of them together, that contact as it is
+        does not hold: `holding` is as in :meth:`begin`. Ties in use bear what they bear (collective)."""
+        R, admissible = self._admissible()
+        basis = self._together(
+            [b[:, :0] if self.let_be[p] else b for p, b in zip(self._pieces, admissible, strict=True)]
+        )
+        if not basis.shape[1]:
+            return
+        of_one = np.repeat(np.sqrt(self._nodes), len(self._root) // len(self._nodes))[:, None]
+        share, axes = np.linalg.eigh(holding(self._all_of(R, of_one * basis)))
+        unheld = np.linalg.qr(self._root[:, None] * (basis @ axes[:, share < HOLDS]))[0]
+        borne = self.along(self.forces())
+        left, size, _ = np.linalg.svd(np.concatenate([self._free, unheld], axis=1))
+        self._tie(R, left[:, : np.count_nonzero(size > SAME)])
+        self.move(borne)
 
     def _together(self, bases: list[Array]) -> Array:
         """(motions of all pieces, ·) an orthonormal basis of the pieces' ones."""
