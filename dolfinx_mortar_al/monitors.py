@@ -64,15 +64,15 @@ class Reporter:
     def __init__(self, rank: int) -> None:
         self._rank, self._reported = rank, {}  # type: int, dict[str, float]
 
-    def report(self, findings: Iterable[Finding], when: str) -> None:
-        """Findings of the step at `when` (a load or time, in words)."""
+    def report(self, findings: Iterable[Finding], when: str, stacklevel: int) -> None:
+        """Findings of the step at `when` (a load or time, in words); `stacklevel` leads to who asked for the step."""
         for finding in findings:
             said = self._reported.get(finding.name)
             if said is not None and not abs(finding.value) > AGAIN * abs(said):
                 continue
             self._reported[finding.name] = finding.value
             if self._rank == 0:
-                warnings.warn(f"at {when}: {finding}", ModelWarning, stacklevel=5)  # the march's caller
+                warnings.warn(f"at {when}: {finding}", ModelWarning, stacklevel=stacklevel)
 
 
 class Monitor:

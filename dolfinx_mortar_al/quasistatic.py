@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import floor
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al import stepping, validation
 from dolfinx_mortar_al.load import Load, Movable
 from dolfinx_mortar_al.load_watch import LoadWatch
-from dolfinx_mortar_al.monitors import Finding
+from dolfinx_mortar_al.monitors import Finding, Reporter
 from dolfinx_mortar_al.newton import NO_PROGRESS, NewtonResult, NewtonSolver, Path
 from dolfinx_mortar_al.pair_findings import PUSHED
 from dolfinx_mortar_al.predictor import Predictor
@@ -24,7 +25,7 @@ from dolfinx_mortar_al.reductions import all_over, max_over, sum_over
 from dolfinx_mortar_al.relaxation import relax
 from dolfinx_mortar_al.stepping import Attempt, Bar, Controller, Event, March, StepFailure
 
-__all__ = ["Stage", "Step", "StepFailure", "follow", "march"]
+__all__ = ["Stage", "Step", "StepFailure", "equilibrate", "follow", "march"]
 
 Array = NDArray[np.float64]
 
@@ -93,6 +94,42 @@ class Stage:
     to: Any
     increments: int
     until: Callable[[], bool] | None = None
+
+
+def equilibrate(problem: ContactProblem, *, solver: NewtonSolver | None = None) -> Step:
+    """Solve in the loads as they stand, as of parts that overlap on the mesh because one is pressed into the other, and go on
+    from there: slip is counted from this state, and a march begins with it.
+
+    Args:
+        problem, solver: as in :func:`march`.
+
+    Returns:
+        The converged state as a step, with its findings, of which it warns; its `load` and `path` are 0.
+
+    Raises:
+        ValueError: at bodies that are motions.
+        StepFailure: on every rank; the problem is as it was.
+    """
+    check_problem(problem)
+    validation.check_still(problem.motions)
+    solver = stepping.solver_of(problem, solver)
+    before, clock = problem.snapshot(), perf_counter()
+    attempt = _solve(problem, solver)
+    if not attempt.good:
+        problem.restore(before)
+        problem.show_committed()
+        raise StepFailure(f"no convergence in the loads as they stand: {attempt.message}")
+    problem.commit()
+    Reporter(problem.comm.rank).report(attempt.findings, "the loads as they stand", stacklevel=3)
+    return Step(
+        iterations=attempt.newton.iterations,
+        wall_time=perf_counter() - clock,
+        nominal=True,
+        findings=tuple(attempt.findings),
+        load=0.0,
+        stage=0,
+        path=0.0,
+    )
 
 
 def march(

@@ -187,7 +187,7 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
         if control.leg != leg:
             size, leg, closing_in = 1.0, control.leg, False
         bar.show(control.at(), control.share, step)
-        reporter.report(step.findings, control.at())
+        reporter.report(step.findings, control.at(), stacklevel=5)  # the march's caller
         yield step
         iterations, reasons, clock, relaxed = 0, [], perf_counter(), False
 

@@ -289,7 +289,7 @@ def test_a_finding_is_said_again_when_it_has_grown_tenfold():
     for value in (1e-3, 2e-3, 9e-3, 2e-2, 1e-3, 0.1):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            reporter.report([Finding("slide", value, (), "", False)], "load 1")
+            reporter.report([Finding("slide", value, (), "", False)], "load 1", stacklevel=2)
         said += [value] * len(caught)
     assert said == [1e-3, 2e-2]
 
