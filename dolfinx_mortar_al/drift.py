@@ -20,6 +20,7 @@ __all__ = ["DriftMonitor"]
 Array = NDArray[np.float64]
 
 SHARE = 1e-6  # of a run's energy or momenta: what Newton's tolerance, 1e-11, leaves in 1e5 steps, all to one side
+STORED = 0.01  # of the round-off of a body's forces times its size: that of its stored energy
 # of a facet: one that turns by an angle θ rises by θ/8 of its length over its chord; two that meet, each turning by 1 rad
 DEPTH = 0.25
 
@@ -56,6 +57,7 @@ class DriftMonitor:
         self._free = ~held & (not loaded)
         reach = [np.abs(body.mesh.geometry.x).max(initial=0.0) for body in problem.bodies.bodies]
         self._reach = max_over(comm, float(max(reach)))
+        self._round_off = STORED * float(problem.force_floor.sum()) * problem.bodies.diameter()  # (J)
         self._mass = sum(motion.mass for motion in problem.motions)
         self._energy = 0.0  # the largest so far, of what has been there or was put in (J)
 
@@ -66,7 +68,7 @@ class DriftMonitor:
         self._energy = energy = max(self._energy, put_in, ledger.total)  # its round-off stays where it goes again
         found = []
         gain = ledger.energy_defect - start.energy_defect
-        if gain > SHARE * energy and not self._is_driven():
+        if gain > SHARE * energy + self._round_off and not self._is_driven():
             weighted = any(motion.has_weighted_forces for motion in self._motions)
             found.append(("energy gained (J)", gain, OF_THE_SCHEME if weighted else UNBOOKED))
         scale = np.sqrt(2 * self._mass * energy)  # the momentum of all if all of the energy were kinetic

@@ -225,7 +225,7 @@ class ContactProblem:
             np.maximum(scale, force, out=scale, where=touched)
         seen = np.maximum(rtol * scale, self.force_floor * UNSEEN)
         if corrected:
-            seen = np.maximum(seen, self._contact_round_off())
+            seen = np.maximum(seen, self._contact_round_off(self._in_contact()[0]))
         worst = self.bodies.norms(f[0].array_r) / (np.maximum(seen, self.force_floor) if corrected else seen)
         if not moving:  # the bodies' round-off is no force on a piece as a whole
             worst = np.maximum(worst, self.bodies.resultants(f[0].array_r) / seen)
@@ -235,9 +235,10 @@ class ContactProblem:
             ratios.append(part.norm() / (pair.unit * gap))
         return ratios
 
-    def _contact_round_off(self) -> Array:
-        """(pieces,) what the round-off of positions makes of the contact forces on each (N)."""
-        return self._on_pieces([pair.force_round_off for pair in self.pairs])
+    def _contact_round_off(self, counts: NDArray[np.bool_] | None = None) -> Array:
+        """(pieces,) what the round-off of positions makes of the contact forces on each (N), of the pairs that count."""
+        every = np.array([pair.force_round_off for pair in self.pairs])
+        return self._on_pieces(list(every if counts is None else every * counts))
 
     def _no_press(self) -> Array:
         """(pieces,) forces (N) below which contact does not press on a piece, and ties bear nothing."""
