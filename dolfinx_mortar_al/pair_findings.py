@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.blocks import Blocks
@@ -13,7 +12,7 @@ from dolfinx_mortar_al.law import OPEN
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import dot
-from dolfinx_mortar_al.reductions import sum_over
+from dolfinx_mortar_al.reductions import max_over, sum_over
 from dolfinx_mortar_al.results import PairResults
 from dolfinx_mortar_al.smoothing import ALIKE
 from dolfinx_mortar_al.surface import GatheredFacets, surface_normal
@@ -151,9 +150,10 @@ class PairFindings(PairResults):
         return Finding(f"{self.name}: overlap in contact (facets)", value, X, says, False)
 
     def turned_force(self) -> Finding | None:
-        """By how much contact's forces are off the target's normal in the mean, as a share of them, where the contactor turns
-        more than the target does over a facet, as at a rounded corner on a flat surface (collective). There ν = −𝐧 is that of
-        coarse facets; where the target turns more, as its corner on a flat contactor, 𝐧 is the better one."""
+        """By how much contact's forces are off the target's normal in the mean over a connected zone, as a share of them, the
+        largest of the zones', where the contactor turns more than the target does over a facet, as at a rounded corner on a
+        flat surface (collective). There ν = −𝐧 is that of coarse facets; where the target turns more, as its corner on a flat
+        contactor, 𝐧 is the better one."""
         if not isinstance(self.target, DeformableTarget) or not self.target.uses_rays or self.target.is_contactor:
             return None
         closed = np.flatnonzero(self.state.status != OPEN)
@@ -162,9 +162,14 @@ class PairFindings(PairResults):
         normal /= (np.sqrt(dot(normal, normal)) * np.where(dot(normal, at.ν) < 0, -1.0, 1.0))[:, None]
         pressed = self.j[closed] * self.state.p[closed]
         turns = self._contactor.turns[self._own[facet]] > self.target.surface.turns[at.point.facet]
-        mine = np.append((pressed * turns) @ (at.ν - normal), pressed.sum())
-        force = sum_over(self.comm, mine)
-        share = float(np.linalg.norm(force[:-1]) / force[-1]) if force[-1] > 0 else 0.0
+        zone = self._contactor.zones(self._touched())
+        parts = np.column_stack([(pressed * turns)[:, None] * (at.ν - normal), pressed])
+        sums = np.zeros((zone.max(initial=-1) + 1, parts.shape[1]))
+        np.add.at(sums, zone[self._own[facet]], parts)
+        sums = sum_over(self.comm, sums)
+        force = sums[:, -1]
+        bears = force > TURNED * force.sum()  # errors of the others are below what is said of one zone
+        share = float((np.linalg.norm(sums[bears, :-1], axis=1) / force[bears]).max(initial=0.0))
         if share < TURNED:
             return None
         return Finding(f"{self.name}: share of the force that is off the target's normal", share, (), BY_NORMALS, False)
@@ -175,12 +180,8 @@ class PairFindings(PairResults):
         facets alone, or is a first touch of few."""
         if self.target.is_contactor or not self._is_curved:
             return None
-        contactor, facet = self._contactor, self._own[self.integration.facet]
-        closed = self.state.status != OPEN
-        touched = np.zeros(len(contactor.facets))
-        touched[facet[closed]] = 1.0
-        self.comm.Allreduce(MPI.IN_PLACE, touched, MPI.MAX)
-        amid = contactor.amid(touched > 0, HOLES)
+        facet, closed = self._own[self.integration.facet], self.state.status != OPEN
+        amid = self._contactor.amid(self._touched(), HOLES)
         j = np.where(amid[facet], self.j, 0.0)
         needed = j @ (self._sagittas() * self.epsilon.normal)
         whole, open_, needed, borne = sum_over(self.comm, np.array([j.sum(), j @ ~closed, needed, j @ self.state.p]))
@@ -204,6 +205,12 @@ class PairFindings(PairResults):
         if count < MANY ** (self.gdim - 1) or wavers <= WAVERING * force:
             return None
         return Finding(f"{self.name}: wavering share of the pressure", float(wavers / force), (), WAVERS, False)
+
+    def _touched(self) -> NDArray[np.bool_]:
+        """(nf,) which facets of the whole contactor are in contact, at least in part (collective)."""
+        touched = np.zeros(len(self._contactor.facets))
+        touched[self._own[self.integration.facet[self.state.status != OPEN]]] = 1.0
+        return max_over(self.comm, touched) > 0
 
     def _extents(self) -> tuple[Array, Array]:
         """(n,) and (n,) extents of the points' facets and of those that they face (m); 0 of a rigid target."""

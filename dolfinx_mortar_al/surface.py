@@ -18,6 +18,7 @@ import ufl
 from dolfinx import fem, mesh
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.pieces import connected
 from dolfinx_mortar_al.reductions import max_over, sum_over
 from dolfinx_mortar_al.validation import are_tags_of, vector, whole
 
@@ -389,6 +390,13 @@ class GatheredFacets:
             grown = np.asarray(grown[self.neighbours].all(axis=1)) & ~at_end
         grown = grown | marked
         return np.asarray(grown[self.neighbours].all(axis=1))
+
+    def zones(self, marked: NDArray[np.bool_]) -> Index:
+        """(nf,) the number, from 0, of the connected zone that each of the marked facets (nf,) is in; −1 of the others."""
+        label = connected(self.facets[marked], len(self.blocks))
+        zone = np.full(len(self.facets), -1)
+        zone[marked] = np.unique(label[self.facets[marked, 0]], return_inverse=True)[1].ravel()
+        return zone
 
     @cached_property
     def _own_normals(self) -> Array:

@@ -121,18 +121,21 @@ def test_a_corner_in_a_drag_does_not_dig_in():
     assert np.allclose(forces[-1], [189.4, 149.7], rtol=2e-3)  # N, as without the sides
 
 
-def rounded_on_slab(cells, swap):
+def rounded_on_slab(cells, swap, lips=1):
     """A block with a round bottom, `cells` across, pressed onto a slab a hundred times as stiff, which is flat in the end:
-    (share of the force that is off the target's normal or None, F_x/F_y)."""
-    block = create_rectangle(MPI.COMM_WORLD, [(0.0, 0.0), (1.0, 0.5)], (cells, 3), CellType.quadrilateral)
-    slab = create_rectangle(MPI.COMM_WORLD, [(-0.5, -0.4), (1.5, 0.0)], (40, 6), CellType.quadrilateral)
+    (share of the force that is off the target's normal or None, F_x/F_y). With two lips it is joined to its mirror image."""
+    left = 1.0 - lips
+    block = create_rectangle(MPI.COMM_WORLD, [(left, 0.0), (1.0, 0.5)], (cells * lips, 3), CellType.quadrilateral)
+    slab = create_rectangle(
+        MPI.COMM_WORLD, [(left - 0.5, -0.4), (1.5, 0.0)], (20 + 20 * lips, 6), CellType.quadrilateral
+    )
     ends = []
     for domain, touches, held in ((block, 0.0, 0.5), (slab, 0.0, -0.4)):
         domain.topology.create_connectivity(1, 2)
         found = [locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (touches, held)]
         ends.append((meshtags(domain, 1, np.sort(found[0]), np.ones(len(found[0]), dtype=np.int32)), found[1]))
     x = block.geometry.x
-    x[:, 1] += (x[:, 0] - 0.3) ** 2 / (2 * 0.8) * (1 - x[:, 1] / 0.5)
+    x[:, 1] += (np.abs(x[:, 0]) - 0.7) ** 2 / (2 * 0.8) * (1 - x[:, 1] / 0.5)
     down, u, bcs, F = fem.Constant(block, (0.0, 0.0)), [], [], []
     for domain, (_, held), value, young in ((block, ends[0], down, E), (slab, ends[1], np.zeros(2), 100 * E)):
         V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
@@ -155,6 +158,13 @@ def test_a_force_along_coarse_normals_is_said():
     for cells, swap in ((4, True), (32, False)):
         share, along = rounded_on_slab(cells, swap)
         assert share is None and along < 2e-3
+
+
+def test_errors_of_forces_that_cancel_between_zones_are_said():
+    """Those of the lips of a symmetric seal: its force is upright, and each lip's is off as much as if it were alone."""
+    alone, _ = rounded_on_slab(4, swap=False)
+    share, along = rounded_on_slab(4, swap=False, lips=2)
+    assert share == pytest.approx(alone, rel=0.1) and along < 1e-9
 
 
 @pytest.mark.one_rank
