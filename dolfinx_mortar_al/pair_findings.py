@@ -58,10 +58,11 @@ BY_NORMALS = (
 )
 TURNED = 0.03  # of the force
 PATCHES = (
-    "curved surfaces are in contact in patches, as the gaps between their straight facets are larger than what the pressure "
-    "closes, and pressures are too large; take meshes of order 2 (gmsh -order 2) with displacements of order 2, or refine "
-    "both surfaces"
+    "curved surfaces are in contact in patches, as the gaps between their facets are larger than what the pressure closes, "
+    "and pressures are too large; "
 )
+STRAIGHT = "take meshes of order 2 (gmsh -order 2) with displacements of order 2, or refine both surfaces"
+CURVED = "refine both surfaces"  # where facets are curved already
 PATCHY = 0.1  # of the contact: next to its end facets are open in part
 MANY = 8  # facets in each direction: in Hertz' contacts of so many a fifth of the pressure would close the sagitta
 HOLES = 2  # facets from any hole to its edge: nodes of meshes that are to match nearly meet every few facets
@@ -177,18 +178,21 @@ class PairFindings(PairResults):
     def patches(self) -> Finding | None:
         """What is open amid a contact of many facets, as a share of it, where straight facets of curved surfaces leave larger
         gaps than the pressure closes (collective). A contact that ends where the surfaces part has open points in its last
-        facets alone, or is a first touch of few."""
+        facets alone, or is a first touch of few; facets that overhang the target are last ones, too."""
         if self.target.is_contactor or not self._is_curved:
             return None
         facet, closed = self._own[self.integration.facet], self.state.status != OPEN
         amid = self._contactor.amid(self._touched(), HOLES)
-        j = np.where(amid[facet], self.j, 0.0)
+        overhangs = np.zeros(len(amid), dtype=bool)
+        overhangs[facet[~self.at.facing]] = True
+        j = np.where((amid & ~overhangs)[facet], self.j, 0.0)
         needed = j @ (self._sagittas() * self.epsilon.normal)
         whole, open_, needed, borne = sum_over(self.comm, np.array([j.sum(), j @ ~closed, needed, j @ self.state.p]))
         few = np.sum(amid) < MANY ** (self.gdim - 1)
         if few or open_ <= PATCHY * whole or not needed > borne > 0.0:
             return None
-        return Finding(f"{self.name}: open share amid the contact", float(open_ / whole), (), PATCHES, False)
+        says = PATCHES + (STRAIGHT if self._has_straight_facets else CURVED)
+        return Finding(f"{self.name}: open share amid the contact", float(open_ / whole), (), says, False)
 
     def ripples(self) -> Finding | None:
         """Under pressures near the bodies' moduli, what ε bears in the mean on facets that are closed altogether, if they are
@@ -224,9 +228,19 @@ class PairFindings(PairResults):
 
     @cached_property
     def _is_curved(self) -> bool:
-        """Whether straight facets stand for a curved surface on either side; the same on all ranks."""
-        theirs = self.target.surface.sagittas if isinstance(self.target, DeformableTarget) else np.zeros(0)
-        return bool(self._contactor.sagittas.any() or theirs.any())
+        """Whether facets fall short of a curved surface on either side; the same on all ranks."""
+        return any(side.sagittas.any() for side in self._sides)
+
+    @property
+    def _has_straight_facets(self) -> bool:
+        """Whether some of those are straight."""
+        return any((side.sagittas[side.rises == 0.0] > 0.0).any() for side in self._sides)
+
+    @property
+    def _sides(self) -> list[GatheredFacets]:
+        """The meshed surfaces of the pair."""
+        target = self.target
+        return [self._contactor, *([target.surface] if isinstance(target, DeformableTarget) else [])]
 
     def _sagittas(self) -> Array:
         """(n,) how far the straight facets at the points, or those that they face, fall short of curved surfaces (m)."""

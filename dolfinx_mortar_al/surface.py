@@ -419,17 +419,23 @@ class GatheredFacets:
         return np.asarray(np.arccos(np.clip(normal @ np.swapaxes(normal, 1, 2), -1.0, 1.0)).max(axis=(1, 2)))
 
     @cached_property
+    def rises(self) -> Array:
+        """(nf,) how far facets are from the straight ones with the same corners (m); 0 of straight ones."""
+        X, N = self.X[self.facets], ShapeFunctions(self.shape.cell, 1).tabulate(self.shape.nodes)[0]
+        risen = np.linalg.norm(X - N @ X[:, : N.shape[1]], axis=2).max(axis=1)
+        return np.where(risen > FLAT * np.ptp(X, axis=1).max(axis=1), risen, 0.0)
+
+    @cached_property
     def sagittas(self) -> Array:
         """(nf,) how far facets fall short of the smooth surface that they stand for (m): one that turns by θ over a facet of
         length h rises by hθ/8, and what a curved facet rises by itself does not lack. None beside a sharp corner or edge,
         from which a straight flank may go on."""
-        X, N = self.X[self.facets], ShapeFunctions(self.shape.cell, 1).tabulate(self.shape.nodes)[0]
-        risen = np.linalg.norm(X - N @ X[:, : N.shape[1]], axis=2).max(axis=1)
+        X = self.X[self.facets]
         length = 2 * np.linalg.norm(X - X.mean(axis=1, keepdims=True), axis=2).max(axis=1)
         normal = self._own_normals.mean(axis=1)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         is_smooth = (np.einsum("fi,fki->fk", normal, normal[self.neighbours]) > SHARP).all(axis=1)
-        return np.where(is_smooth & (self.turns > FLAT), np.maximum(length * self.turns / 8 - risen, 0.0), 0.0)
+        return np.where(is_smooth & (self.turns > FLAT), np.maximum(length * self.turns / 8 - self.rises, 0.0), 0.0)
 
     @cached_property
     def size_of_facets(self) -> float:

@@ -1,6 +1,7 @@
 """Contact in patches: what straight facets of curved surfaces do to a press fit, and that it is said."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,20 +28,27 @@ def lame(overlap: float) -> float:
 
 def press_fit(order: int, facets: tuple[int, int], overlap: float = 1e-3) -> ContactProblem:
     """A quarter of two rings, meshes and displacements of this order, so many facets on either side."""
+    inner, outer = (np.linspace(0, np.pi / 2, around + 1) for around in facets)
+    return fitted(order, overlap, inner, outer, SIDES)
+
+
+def fitted(order, overlap, inner, outer, outer_sides) -> ContactProblem:
+    """Parts of two rings with nodes at these angles; the inner one's sides are planes of symmetry."""
 
     def turned(x):
         return x[:, :1] * np.column_stack([np.cos(x[:, 1]), np.sin(x[:, 1])])
 
-    def ring(inner: float, outer: float, around: int, tags: tuple[int, int]):
-        axes = [np.linspace(inner, outer, 5), np.linspace(0, np.pi / 2, around + 1)]
-        faces = {(0, 0): tags[0], (0, -1): tags[1], (1, 0): SIDES[0], (1, -1): SIDES[1]}
-        return grid(axes, faces, order=order, place=turned)
+    def ring(radii: tuple[float, float], angles, tags: tuple[int, int], sides: tuple[int, int]):
+        faces = {(0, 0): tags[0], (0, -1): tags[1], (1, 0): sides[0], (1, -1): sides[1]}
+        return grid([np.linspace(*radii, 5), angles], faces, order=order, place=turned)
 
     a, b, c = RADII
-    rings = [ring(a, b, facets[0], (1, FITTED)), ring(b - overlap, c, facets[1], (BORE, 2))]
+    rings = [ring((a, b), inner, (1, FITTED), SIDES), ring((b - overlap, c), outer, (BORE, 2), outer_sides)]
     domain, _, tags = build(rings)
     V, u = space(domain, order)
     bcs = [hold(V, tags, SIDES[0], 1), hold(V, tags, SIDES[1], 0)]
+    if outer_sides != SIDES:
+        bcs += [hold(V, tags, 2, 0), hold(V, tags, 2, 1)]
     body = Body(u, materials.saint_venant_kirchhoff(E, NU), bcs=bcs)
     return ContactProblem(body, contacts=[Contact(Surface(domain, tags, FITTED), Surface(domain, tags, BORE))])
 
@@ -61,6 +69,32 @@ def test_gaps_between_straight_facets_are_said_where_they_matter(order, facets, 
     assert said(quasistatic.equilibrate(problem)) == patchy
     pressure = problem.pairs[0].largest_pressure() / lame(1e-3)
     assert pressure > 2.0 if patchy else abs(pressure - 1) < 0.01
+
+
+def test_curved_facets_are_not_to_be_curved():
+    """Facets of order 2 that rise by half of what the surface they stand for does, in patches of a light touch: all that
+    helps are finer ones."""
+    for order, advised in ((1, True), (2, False)):
+        problem = press_fit(order, (10, 7), overlap=1e-7)
+        pair = problem.pairs[0]
+        if order == 2:
+            X = pair._contactor.X.copy()
+            for first, last, middle in pair._contactor.facets:
+                X[middle] += 0.5 * ((X[first] + X[last]) / 2 - X[middle])
+            pair._contactor = replace(pair._contactor, X=X)
+        step = quasistatic.equilibrate(problem)
+        (meaning,) = [finding.meaning for finding in step.findings if "amid the contact" in finding.name]
+        assert ("order 2" in meaning) == advised and "refine both surfaces" in meaning
+
+
+def test_what_overhangs_is_not_open_amid_the_contact():
+    """Facets meet facets, and the last ones of the contactor stand out beyond the target by nine tenths of their length."""
+    angles = np.linspace(0, np.pi / 2, 13)
+    shorter = np.r_[0.9 * angles[1], angles[1:-1], angles[-1] - 0.9 * angles[1]]
+    problem = fitted(1, 1e-3, angles, shorter, (5, 6))
+    step = quasistatic.equilibrate(problem)
+    assert 0.8 < problem.pairs[0].closed_fraction() < 0.9
+    assert not said(step)
 
 
 def test_gaps_that_are_pressed_away_are_not_said():
