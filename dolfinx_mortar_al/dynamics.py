@@ -227,10 +227,10 @@ class _TimeControl(Controller[Step]):
         problem.force_reference = 0.0
         problem.dashpots = problem.holding_dashpots()
         try:
-            pressed = self.solver.solve().converged and any(pair.is_pressed() for pair in problem.pairs)
+            pressed = self.solver.solve().converged and problem.is_pressed()
         finally:
             problem.dashpots = None
-        if any_over(problem.comm, pressed):
+        if pressed:
             for motion in self.motions:
                 motion.take_up()
             problem.commit()

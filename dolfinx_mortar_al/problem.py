@@ -240,6 +240,10 @@ class ContactProblem:
         every = np.array([pair.force_round_off for pair in self.pairs])
         return self._on_pieces(list(every if counts is None else every * counts))
 
+    def is_pressed(self) -> bool:
+        """Whether contact presses on anything, by more than round-off (collective)."""
+        return bool((self._pressing() > self._no_press()).any())
+
     def _no_press(self) -> Array:
         """(pieces,) forces (N) below which contact does not press on a piece, and ties bear nothing."""
         return np.maximum(NOISE * self.force_floor, self._contact_round_off())
