@@ -277,11 +277,10 @@ class ContactProblem:
         self._spring_shares = self.bodies.spring_shares(diagonals, self._touched)
         #: on the nodes, while the bodies go to where they come to rest (`relaxation`)
         self.dashpots: Dashpots | None = None
+        # (pieces,) most of the contact forces (N), and (pairs,) whether all points have slipped, in this solve
+        self._pressed: Array = np.zeros(self.bodies.pieces)
+        self._slid: NDArray[np.bool_] = np.zeros(len(self.pairs), dtype=bool)
         #: of pieces that contact alone holds; None if there are none
-        self._pressed: Array = np.zeros(self.bodies.pieces)  # most of the contact forces in this solve (N)
-        self._slid: NDArray[np.bool_] = np.zeros(
-            len(self.pairs), dtype=bool
-        )  # pairs that slipped all over in this solve
         self.ties = None if self.springs is None else Ties(self.bodies, self.springs.array_r * self._spring_shares)
         # which pieces nothing presses on: as found last, and in the last equilibrium
         self._free: NDArray[np.bool_] = np.zeros(self.bodies.pieces, dtype=bool)
