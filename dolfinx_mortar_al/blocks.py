@@ -19,6 +19,7 @@ from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.kinematics import Kinematics
 from dolfinx_mortar_al.law import OPEN, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.multiplier import MultiplierSpace
+from dolfinx_mortar_al.projection import Projection
 from dolfinx_mortar_al.reductions import all_over
 from dolfinx_mortar_al.smoothing import products_of_gradients
 from dolfinx_mortar_al.targets import Target
@@ -67,6 +68,8 @@ class Blocks:
         self.target, self.multiplier = target, multiplier
         self.contactor, self.fixed = contactor, fixed
         self.gdim = fixed.shape[2]
+        #: weight of points that face nothing in the multiplier's equation
+        self.beyond = 1.0
         #: (nf, multiplier nodes) nodes whose multiplier is no matter of a facet's open points, None if there are none
         self.left_out: Bool | None = None
         #: (nf, nodes) nodes that have no part in a facet at a sharp corner, None where there are none
@@ -174,18 +177,21 @@ class Blocks:
         nodal = self.multiplier.own_nodal()[self.points.facet].reshape(*self.NΛ[:, 0].shape, 1)
         return np.asarray((self.NΛ @ nodal)[:, :, 0])
 
-    def _tests(self, state: LawState) -> Array:
+    def _tests(self, state: LawState, at: Projection) -> Array:
         """(n, components, nodes × components) the multiplier's test functions."""
-        if self.left_out is None:
-            return self.NΛ
-        out = self.left_out[self.points.facet] & (state.status == OPEN)[:, None]
-        return np.where(np.repeat(out, self.multiplier.components, axis=1)[:, None], 0.0, self.NΛ)
+        tests = self.NΛ
+        if self.left_out is not None:
+            out = self.left_out[self.points.facet] & (state.status == OPEN)[:, None]
+            tests = np.where(np.repeat(out, self.multiplier.components, axis=1)[:, None], 0.0, tests)
+        if self.beyond < 1.0:
+            tests = np.where(at.facing, 1.0, self.beyond)[:, None, None] * tests
+        return tests
 
     # ---------------------------------------------------------------- residual, eq. (4)
 
-    def multiplier_residual(self, state: LawState) -> tuple[Index, Array]:
+    def multiplier_residual(self, state: LawState, at: Projection) -> tuple[Index, Array]:
         """∫ r·δΛ dS₀ and what holds Λ smooth: global blocks (nf, nodes) and element vectors (nf, nodes, components)."""
-        values = ((self.points.j[:, None] * state.r)[:, None] @ self._tests(state))[:, 0]
+        values = ((self.points.j[:, None] * state.r)[:, None] @ self._tests(state, at))[:, 0]
         blocks, total = self.multiplier.blocks, self.points.sum_by_facet(values)
         smoothing = self._smoothed()
         if smoothing is not None:
@@ -223,7 +229,7 @@ class Blocks:
         rows, columns = kinematics.rows(act), kinematics.columns(act)
 
         n, d, m = len(act), self.gdim, self.multiplier.components
-        tests = self._tests(state)
+        tests = self._tests(state, kinematics.at)
         NΛ, δr = self.NΛ[act], δr * j[:, None, None]
         nodes = NΛ.shape[2] // m
         z = d * len(slots.names)

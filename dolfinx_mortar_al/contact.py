@@ -30,8 +30,9 @@ from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.pair_findings import PairFindings
 from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import TargetPoint
+from dolfinx_mortar_al.rays import RayHit
 from dolfinx_mortar_al.reductions import any_over, max_over, min_over, sum_over
-from dolfinx_mortar_al.segments import Segments, segments_of
+from dolfinx_mortar_al.segments import UNCOVERED, Segments, segments_of
 from dolfinx_mortar_al.self_target import SelfTarget
 from dolfinx_mortar_al.smoothing import lacking_compliance
 from dolfinx_mortar_al.step_level import StepLevel
@@ -80,7 +81,8 @@ class Contact:
         projection: "rays" along the contactor's normals, or "closest", the paper's closest points. A rigid obstacle always
             has the closest points.
         integration: "segments", between the ends of the target's facets as the contactor's rays see them, which follow the
-            bodies, or "gauss", the default, the same points on each facet.
+            bodies, or "gauss", the default, the same points on each facet. Segments for targets that end inside facets of the
+            contactor.
         quadrature_degree: of the Gauss points on each facet, at least twice the multiplier's order; default 4 × the
             displacement's order (on a curved membrane in the plane 6 × order + 1), more where the target's facets are
             finer, and in space on surfaces of few facets. With segments of the points on each segment; default exact on
@@ -220,6 +222,7 @@ class ContactPair(PairFindings):
         #: whether segments stay where they are, whatever moves
         self.holds_points = False
         self.segments = self._make_segments()
+        self.blocks.beyond = 1.0 if self.segments is None else UNCOVERED
         self._bodies = bodies
         self._doubted = False
         self._unfelt: Unfelt | None = None  # impact does without
@@ -557,10 +560,15 @@ class ContactPair(PairFindings):
             self.apply_law()
 
     def _project(self) -> None:
-        """Projection and slip; in statics a solve holds points to the target beyond its end."""
-        self.kinematics.evaluate()
+        """Projection and slip; in statics a solve holds points to the target beyond its end, and segments end with it."""
+        k = self.kinematics
+        k.evaluate()
+        if self.blocks.beyond < 1.0:
+            assert isinstance(k.at, RayHit)
+            k.at.facing &= k.at.opposed()
+            k.may_close &= k.at.facing
         if self.target_end is not None:
-            self.target_end.hold(self.kinematics)
+            self.target_end.hold(k)
 
     def let_go(self) -> bool:
         """Let points beyond the target's end go, on whatever rank; whether there are any (collective)."""
@@ -722,6 +730,7 @@ class ContactPair(PairFindings):
         the balance of energy needs: corners' nodes keep all of their facets."""
         if not isinstance(self.kinematics, StepLevel):
             self.blocks.corners = self.target_end = None
+            self.blocks.beyond = 1.0
             self.blocks.leave_rough()
             self.kinematics = StepLevel(self.kinematics)
             self.active.cautious = False
@@ -876,7 +885,7 @@ class ContactPair(PairFindings):
 
     def multiplier_residual(self) -> tuple[Index, Array]:
         """∫ r·N1 Λ* dS₀, eq. (4), as :meth:`Blocks.multiplier_residual`."""
-        return self.blocks.multiplier_residual(self.state)
+        return self.blocks.multiplier_residual(self.state, self.kinematics.at)
 
     def body_residual(self, *, reactions: bool = False) -> list[tuple[Index, Array]]:
         """−∫ t·(N1 U1* − N2(η) U2*) dS₀, eq. (4), as :meth:`Blocks.body_residual`."""

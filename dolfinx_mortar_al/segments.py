@@ -23,7 +23,7 @@ from dolfinx_mortar_al.projection import dot, inverse
 from dolfinx_mortar_al.search import where
 from dolfinx_mortar_al.surface import Facets, GatheredFacets, ShapeFunctions, surface_normal
 
-__all__ = ["Segments", "cuts_on_curve", "images_on_curve", "segments_of"]
+__all__ = ["UNCOVERED", "Segments", "cuts_on_curve", "images_on_curve", "segments_of"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -33,6 +33,9 @@ STILL = 3e-5  # in facets: the root of Newton's tolerance on forces, as a cut's 
 GROWTH = 30.0  # of STILL with each move in a solve: points that would chatter with the contact state come to rest
 SNAP = 1e-6  # in facets: a cut closer to another, or to a facet's end, is none; its displacement counts squared, too
 NEWTON = 8  # iterations for the ray of a curved facet through a point, or a point of a quadrilateral
+# weight in the multiplier's equation of what faces nothing: where more than a tenth of the facets around a node is covered,
+# the third root, that determines its multiplier, and with less its force fades
+UNCOVERED = 1e-3
 SLIVER = 1e-13  # share of a facet below which a polygon is round-off
 HARDLY = 1e-6  # share of a facet that counts as nothing: seen at all, or seen twice
 
