@@ -723,6 +723,10 @@ class ContactPair(PairFindings):
         k = self.kinematics
         return np.asarray(k.may_close & (k.at.g >= -k.touch))
 
+    def round_off_energy(self) -> float:
+        """What ε_N makes of gaps that are round-off of the coordinates (J): bodies that touch and do not press have it."""
+        return float(self.epsilon.normal * self.area * self.kinematics.touch**2)
+
     # ---------------------------------------------------------------- steps
 
     def use_steps(self) -> StepLevel:

@@ -353,7 +353,7 @@ class _TimeControl(Controller[Step]):
         reasons = [str(f) for f in findings if f.fatal]
         allowed = GAIN * max(self.ledger.total + self.ledger.impact_loss + self.ledger.friction_dissipation, 0.0)
         gain = max(-self._work.lost, -self._work.rubbed)
-        if gain > allowed:
+        if gain > allowed + sum(pair.round_off_energy() for pair in self.problem.pairs):
             reasons.append(f"contact would give {gain:.3g} J to the bodies in this step; take a smaller one")
         for pair, level in zip(self.problem.pairs, self.levels, strict=True):
             passed = level.passed_through(pair.state)
