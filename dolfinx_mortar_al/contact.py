@@ -30,7 +30,6 @@ from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.pair_findings import PairFindings
 from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import TargetPoint
-from dolfinx_mortar_al.rays import RayHit
 from dolfinx_mortar_al.reductions import any_over, max_over, min_over, sum_over
 from dolfinx_mortar_al.segments import UNCOVERED, Segments, segments_of
 from dolfinx_mortar_al.self_target import SelfTarget
@@ -196,7 +195,8 @@ class ContactPair(PairFindings):
         self._facet_count = sum_over(self.comm, self.facets.size)
         self._check_apart(contactor)
         reach = max(bodies.reach(), self.target.reach)
-        self.kinematics: Kinematics = PositionLevel(self.integration, self._body1.u, self.target, friction, reach)
+        statics = PositionLevel(self.integration, self._body1.u, self.target, friction, reach)
+        self.kinematics: Kinematics = statics
         # points, what the law said and slip in the last step that was committed; (nf, nodes, gdim) where the nodes were (m)
         self._committed: tuple[IntegrationPoints, LawState, Array | None] | None = None
         self._committed_at: Array = np.zeros(0)
@@ -222,7 +222,8 @@ class ContactPair(PairFindings):
         #: whether segments stay where they are, whatever moves
         self.holds_points = False
         self.segments = self._make_segments()
-        self.blocks.beyond = 1.0 if self.segments is None else UNCOVERED
+        if self.segments is not None:  # in statics they end with the target
+            self.blocks.beyond, statics.ends_with_target = UNCOVERED, True
         self._bodies = bodies
         self._doubted = False
         self._unfelt: Unfelt | None = None  # impact does without
@@ -560,15 +561,10 @@ class ContactPair(PairFindings):
             self.apply_law()
 
     def _project(self) -> None:
-        """Projection and slip; in statics a solve holds points to the target beyond its end, and segments end with it."""
-        k = self.kinematics
-        k.evaluate()
-        if self.blocks.beyond < 1.0:
-            assert isinstance(k.at, RayHit)
-            k.at.facing &= k.at.opposed()
-            k.may_close &= k.at.facing
+        """Projection and slip; in statics a solve holds points to the target beyond its end."""
+        self.kinematics.evaluate()
         if self.target_end is not None:
-            self.target_end.hold(k)
+            self.target_end.hold(self.kinematics)
 
     def let_go(self) -> bool:
         """Let points beyond the target's end go, on whatever rank; whether there are any (collective)."""

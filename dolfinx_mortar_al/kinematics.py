@@ -17,6 +17,7 @@ from dolfinx_mortar_al.carried import carried, components, vary_carried
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.law import OPEN, STICK, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot
+from dolfinx_mortar_al.rays import RayHit
 from dolfinx_mortar_al.targets import ContactorPoints, Target
 from dolfinx_mortar_al.variation import Slots, vary
 
@@ -230,10 +231,16 @@ def contactor_points(points: IntegrationPoints, nodes: Array) -> ContactorPoints
 class PositionLevel(Kinematics):
     """Gap and slip of the present positions: eq. (1) as it stands."""
 
+    #: whether points that see the target's side at a slant face nothing, as they do with segments (`rays.py`)
+    ends_with_target = False
+
     def evaluate(self) -> None:
         self.target.refresh()
         now = self.contactor()
         self.x, self.at = now.x, self.target.project(now)
+        if self.ends_with_target:
+            assert isinstance(self.at, RayHit)
+            self.at.facing &= self.at.opposed()
         self.may_close = self.at.facing & self.target.admits(now.facet, self.at.point)
         self.s = self.slip() if self.friction else None
 
