@@ -122,14 +122,15 @@ class Blocks:
         """Add nothing of the kind."""
         self._smoothing, self.smoothed = None, np.zeros(len(self.contactor))
 
-    def smooth(self, closed: Bool) -> None:
+    def smooth(self, closed: Bool, facing: Bool) -> None:
         """Let what holds the multiplier smooth count on facets that are closed altogether, when the points `closed` (n,) are,
-        without those at sharp corners, in which some nodes have no part (collective)."""
+        without those at sharp corners, in which some nodes have no part. Points that face nothing do not count where they
+        hardly do in the multiplier's equation; `facing` (n,) are those that face the target (collective)."""
         if self._smoothing is None or self.holds_facets:
             return
         zone = np.zeros(len(self.contactor), dtype=bool)
         zone[self.points.facet[closed]] = True
-        open_ = self.points.sum_by_facet((~closed).astype(float)) > 0
+        open_ = self.points.sum_by_facet((~closed & (facing | (self.beyond == 1.0))).astype(float)) > 0
         if self.left_out_at_corners is not None:
             open_ |= np.any(self.left_out_at_corners, axis=1)
         self.smoothed = np.where(open_, 0.0, self._width.share(zone))

@@ -31,7 +31,7 @@ from dolfinx_mortar_al.pair_findings import PairFindings
 from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.reductions import any_over, max_over, min_over, sum_over
-from dolfinx_mortar_al.segments import UNCOVERED, Segments, segments_of
+from dolfinx_mortar_al.segments import UNCOVERED, CutAtEnds, Segments, segments_of
 from dolfinx_mortar_al.self_target import SelfTarget
 from dolfinx_mortar_al.smoothing import lacking_compliance
 from dolfinx_mortar_al.step_level import StepLevel
@@ -80,8 +80,8 @@ class Contact:
         projection: "rays" along the contactor's normals, or "closest", the paper's closest points. A rigid obstacle always
             has the closest points.
         integration: "segments", between the ends of the target's facets as the contactor's rays see them, which follow the
-            bodies, or "gauss", the default, the same points on each facet. Segments for targets that end inside facets of the
-            contactor.
+            bodies, or "gauss", the default, the same points on each facet; in plane statics on each part of one inside
+            which the target ends. In space segments are for targets that end inside facets of the contactor.
         quadrature_degree: of the Gauss points on each facet, at least twice the multiplier's order; default 4 × the
             displacement's order (on a curved membrane in the plane 6 × order + 1), more where the target's facets are
             finer, and in space on surfaces of few facets. With segments of the points on each segment; default exact on
@@ -188,7 +188,8 @@ class ContactPair(PairFindings):
         contactor = self.facets.gather()
         self.target = self._make_target(bodies, contactor.size_of_facets)
         self._contactor, self._own = contactor, contactor.places_of(self.facets)
-        #: Gauss points: all there is without segments, and with them where λ̂_N is kept from step to step
+        self.is_segmented = contact.integration == "segments" and isinstance(self.target, DeformableTarget)
+        #: Gauss points of whole facets, where λ̂_N is kept from step to step
         self.gauss = self._points(contactor)
         self.integration = self.gauss
         self.area = sum_over(self.comm, float(self.j.sum()))
@@ -219,11 +220,13 @@ class ContactPair(PairFindings):
         self.active = ActiveSet(self.blocks, self.comm)
         self.is_pressed_hard = False
         self.target_end = self._make_end()
-        #: whether segments stay where they are, whatever moves
+        #: whether points stay where they are, whatever moves
         self.holds_points = False
         self.segments = self._make_segments()
         if self.segments is not None:  # in statics they end with the target
-            self.blocks.beyond, statics.ends_with_target = UNCOVERED, True
+            self.blocks.beyond = UNCOVERED
+            statics.turning_nodes = self.segments.turning_nodes
+            statics.level = max(self.target.size, contactor.size_of_facets)
         self._bodies = bodies
         self._doubted = False
         self._unfelt: Unfelt | None = None  # impact does without
@@ -256,7 +259,7 @@ class ContactPair(PairFindings):
                 f"{contact.multiplier_order}; take at least {2 * contact.multiplier_order}"
             )
         count = self.facets.size
-        if degree is not None and not self._wants_segments:
+        if degree is not None and not self.is_segmented:
             return IntegrationPoints.gauss(self.facets, np.full(count, degree), self.thickness)
         degree = default_degree(self.facets, contact.contactor.is_membrane)
         points = IntegrationPoints.gauss(self.facets, np.full(count, degree), self.thickness)
@@ -273,20 +276,21 @@ class ContactPair(PairFindings):
             np.minimum.at(faced, points.facet, self.target.extents[at.point.facet])
         return faced
 
-    @property
-    def _wants_segments(self) -> bool:
-        return self.contact.integration == "segments" and isinstance(self.target, DeformableTarget)
-
     def _make_segments(self) -> Segments | None:
-        """Segments, where they are wanted and there is a target with ends of facets."""
-        if not self._wants_segments:
+        """What moves the points: segments, where they are wanted and there is a target with ends of facets; in the plane the
+        end of a target."""
+        degree, target = self.contact.quadrature_degree, self.target
+        if not isinstance(target, DeformableTarget) or not target.uses_rays:
             return None
-        assert isinstance(self.target, DeformableTarget)
-        degree = self.contact.quadrature_degree
-        target = self.target.surface
+        if not self.is_segmented:
+            if self.facets.shape.dim > 1:
+                return None
+            if degree is None:
+                degree = default_degree(self.facets, self.contact.contactor.is_membrane)
+            return CutAtEnds(target.surface, self.gauss, degree, self.comm)
         if degree is None:
-            degree = segment_degree(self.facets.shape, target.shape, self.contact.multiplier_order)
-        return segments_of(self.facets, target, degree, self.thickness)
+            degree = segment_degree(self.facets.shape, target.surface.shape, self.contact.multiplier_order)
+        return segments_of(self.facets, target.surface, degree, self.thickness, self.comm)
 
     def _make_end(self) -> TargetEnd | None:
         """What holds points to a target that rays may miss."""
@@ -392,7 +396,7 @@ class ContactPair(PairFindings):
         """Let ε grow with the pressure p where that comes near a body's moduli: on the slope of a ripple as long as a facet,
         which multipliers of a lower order than the displacement do not see, p acts along the surface, and only the body and ε
         resist it (collective; docs/newton.md). Segments see it, obstacles have no ripples, and membranes have tension."""
-        sees = self.contact.multiplier_order == self.facets.shape.order or self.segments is not None
+        sees = self.contact.multiplier_order == self.facets.shape.order or self.is_segmented
         if sees or self.stiffness_ratio == 0.0 or isinstance(self.kinematics, StepLevel):
             return
         p = np.maximum(self._normal_multiplier(), 0.0)
@@ -621,13 +625,13 @@ class ContactPair(PairFindings):
 
     def _adopt(self, points: IntegrationPoints) -> None:
         """Integrate at these points from now on."""
+        if points is self.integration:
+            return
         origin = self.integration.nearest(points.facet, points.η)
         self.integration = points
-        for name in ("offset", "unspent"):
-            setattr(self.kinematics, name, getattr(self.kinematics, name)[origin])
         before = self._converged
         assert isinstance(before.place, np.ndarray)  # a rigid target has no segments
-        self.kinematics.take(points, before.nodes, before.place)
+        self.kinematics.take(points, origin, before.nodes, before.place)
         self.blocks.take(points)
         self.active.transfer(origin)
         if self.target_end is not None:
@@ -645,7 +649,7 @@ class ContactPair(PairFindings):
         k, active = self.kinematics, self.active
         if self.blocks.leave_out_at_corners(active.closed):
             self._Λ = self.blocks.multiplier_at_points()
-        self.blocks.smooth(active.closed & k.at.facing)
+        self.blocks.smooth(active.closed & k.at.facing, k.at.facing)
         self.state = self.law.evaluate(self._Λ, k.at, k.s, active.closed, active.frozen, active.held)
 
     def decide(self, residual: PETSc.Vec) -> bool:
@@ -729,6 +733,7 @@ class ContactPair(PairFindings):
         """Take the kinematics of time steps, for impact; there the multiplier's space is one and the same in all steps, which
         the balance of energy needs: corners' nodes keep all of their facets."""
         if not isinstance(self.kinematics, StepLevel):
+            self._leave_ends()
             self.blocks.corners = self.target_end = None
             self.blocks.beyond = 1.0
             self.blocks.leave_rough()
@@ -736,6 +741,13 @@ class ContactPair(PairFindings):
             self.active.cautious = False
             self.set_law(self.stiffness, FIRMER, FIRMEST)
         return self.kinematics
+
+    def _leave_ends(self) -> None:
+        """Gauss points of whole facets from now on, as points that move under pressure would give energy."""
+        if self.segments is not None and not self.is_segmented:
+            self.segments = self._committed = None
+            self._adopt(self.gauss)
+            self.evaluate()
 
     def unfelt(self) -> list[Finding]:
         """In statics, what contact has not felt, or hardly: surfaces that a step has carried through each other, overlaps
@@ -794,17 +806,11 @@ class ContactPair(PairFindings):
 
     def snapshot(self) -> dict[str, Array]:
         """All that a step may change, by name; see :class:`~dolfinx_mortar_al.problem.Snapshot`."""
-        history = self.kinematics.history
         arrays = {
             "multiplier": self.multiplier.field.x.array.copy(),
             "guessed": np.array(self.active.guessed),
         }
-        if self.segments is None:
-            arrays |= {"λN_hat": self._expected(), "facet": history.facet.copy(), "η": history.η.copy()}
-            arrays |= {"ρ": self.kinematics.ρ.copy(), "offset": self.kinematics.offset.copy()}
-            arrays |= {"unspent": self.kinematics.unspent.copy()}
-        else:  # in statics no array may depend on where the segments are
-            arrays |= self._state_at_points()
+        arrays |= self._state_at_points()
         before = self._converged
         arrays |= {name: getattr(before, name).astype(float) for name in ("nodes", "closed", "faced")}
         if isinstance(before.place, np.ndarray):
@@ -824,27 +830,11 @@ class ContactPair(PairFindings):
             self.target.role = saved["role"].astype(np.int64)
         if isinstance(self.target, RigidTarget):
             self.target.obstacle.pose = Pose(saved["translation"], saved["rotation"])
-        λN_hat = saved["λN_hat"]
         place = saved["target"].copy() if "target" in saved else self.target.place
         was = (saved[name].astype(bool) for name in ("closed", "faced"))
         self._converged = Converged(saved["nodes"].copy(), place, *was)
-        if self.segments is None:
-            point = TargetPoint(saved["facet"].astype(np.int64), saved["η"].copy())
-            self.kinematics.set_history(point, saved["ρ"].copy())
-            self.kinematics.offset, self.kinematics.unspent = saved["offset"].copy(), saved["unspent"].copy()
-        else:
-            self.target.refresh()
-            self.segments.forget()
-            if isinstance(self.kinematics, StepLevel):  # not by the number of points: some ranks have none
-                facet, η = saved["points_facet"].astype(np.int64), saved["points_η"].copy()
-                weight = saved["points_weight"].copy()
-                self._adopt(IntegrationPoints(self.facets, facet, η, weight, self.thickness))
-                λN_hat = saved["points_λN_hat"]
-                self.kinematics.offset = saved["points_offset"].copy()
-                self.kinematics.unspent = saved["points_unspent"].copy()
-            else:
-                self.follow_segments()
-                λN_hat = λN_hat[self.gauss.nearest(self.integration.facet, self.integration.η)]
+        self.target.refresh()
+        λN_hat = self._restore_at_points(saved)
         self._end_solve()
         self.kinematics.evaluate()
         self.active.expect(λN_hat, self.kinematics, self.epsilon.normal)
@@ -852,19 +842,38 @@ class ContactPair(PairFindings):
         self.apply_law()  # a snapshot may be the next thing that is taken
 
     def _state_at_points(self) -> dict[str, Array]:
-        """λ̂_N (Pa), for the active set: at Gauss points in statics; in time steps at the segments' points, which are part of
-        the state there."""
-        held = isinstance(self.kinematics, StepLevel)
-        points, k = self.integration, self.integration.size if held else 0
+        """Where the points are, what they slip from, and λ̂_N (Pa) for the active set: in statics at the Gauss points of whole
+        facets, as it is extrapolated from states with points elsewhere."""
+        points, k = self.integration, self.kinematics
+        moved = points is not self.gauss and not isinstance(k, StepLevel)
         return {
-            "λN_hat": np.zeros(self.gauss.size) if held else self._λN_hat_at_gauss(),
-            "points_facet": points.facet[:k].astype(float),
-            "points_η": points.η[:k].copy(),
-            "points_weight": points.weight[:k].copy(),
-            "points_λN_hat": self._expected()[:k],
-            "points_offset": self.kinematics.offset[:k].copy(),
-            "points_unspent": self.kinematics.unspent[:k].copy(),
+            "points_λN_hat": self._λN_hat_at_gauss() if moved else self._expected(),
+            "points_facet": points.facet.astype(float),
+            "points_η": points.η.copy(),
+            "points_weight": points.weight.copy(),
+            "points_history_facet": k.history.facet.astype(float),
+            "points_history_η": k.history.η.copy(),
+            "points_ρ": k.ρ.copy(),
+            "points_offset": k.offset.copy(),
+            "points_unspent": k.unspent.copy(),
+            "points_owed": k.owed_at(points),
         }
+
+    def _restore_at_points(self, saved: dict[str, Array]) -> Array:
+        """Points, and what they slip from, as in a snapshot; (n,) λ̂_N there (Pa)."""
+        λN_hat, k = saved["points_λN_hat"], self.kinematics
+        if self.segments is not None:
+            facet, η, weight = (saved[f"points_{name}"].copy() for name in ("facet", "η", "weight"))
+            points = IntegrationPoints(self.facets, facet.astype(np.int64), η, weight, self.thickness)
+            self._adopt(self.gauss if np.array_equal(η, self.gauss.η) else points)
+            self.segments.forget()
+            if not isinstance(k, StepLevel):
+                λN_hat = λN_hat[self.gauss.nearest(points.facet, points.η)]
+        point = TargetPoint(saved["points_history_facet"].astype(np.int64), saved["points_history_η"].copy())
+        k.set_history(point, saved["points_ρ"].copy())
+        k.offset, k.unspent = saved["points_offset"].copy(), saved["points_unspent"].copy()
+        k.owed = self.integration, saved["points_owed"].copy()
+        return λN_hat
 
     def _expected(self) -> Array:
         """(n,) λ̂_N (Pa), from which the active set is restored: −∞ at points that time steps leave open whatever it says."""

@@ -66,6 +66,7 @@ class Kinematics(ABC):
         ρ: (n, gdim) 𝐱 − φ₂(Y_{n−1}) of step n − 1 in the target's frame there (`carried.py`), 0 where it is not needed.
         offset: (n,) depth from which the law counts a point's penetration (m): that at which a time step brought it into
             sight (`step_level.py`), infinite where it takes no part; zero in statics.
+        owed: points, and (n, gdim) the slip (m) from the history at each of them where the last step ended.
         unspent: (n, gdim − 1) slip that a time step has left to the next (m), `step_level.py`; zero in statics.
     """
 
@@ -85,6 +86,7 @@ class Kinematics(ABC):
         self.unspent: Array = np.zeros((points.size, points.facets.X.shape[2] - 1))
         self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros((points.size, points.η.shape[1])))
         self.ρ: Array = np.zeros((points.size, points.facets.X.shape[2]))
+        self.owed: tuple[IntegrationPoints, Array] = points, np.zeros_like(self.ρ)
 
     # ---------------------------------------------------------------- where the contactor is
 
@@ -166,17 +168,25 @@ class Kinematics(ABC):
         """What the points face in the present positions."""
         return self.at
 
-    def take(self, points: IntegrationPoints, contactor: Array, target: Array) -> None:
-        """Other points from now on. What they faced when the last step had converged is found anew, with the nodes of
-        contactor (nf, nodes, gdim) and target (nodes, gdim) where they were then (m): history belongs to the bodies, not to
-        the points."""
+    def take(self, points: IntegrationPoints, origin: Index, contactor: Array, target: Array) -> None:
+        """Other points from now on, to which the former ones `origin` (n,) are the nearest. Where that is another place, what
+        they faced when the last step had converged is found anew, with the nodes of contactor (nf, nodes, gdim) and target
+        (nodes, gdim) where they were then (m): history belongs to the bodies, not to the points."""
+        moved = np.flatnonzero((self.points.η[origin] != points.η).any(axis=1))
         self.points = points
-        if self.friction:
-            now = contactor_points(points, contactor)
-            point, facing = self.target.faced(now, target)
-            self.set_history(point, self.apart(point, facing, now.x, target))
-        else:
-            self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros_like(points.η))
+        self.offset, self.unspent = self.offset[origin], self.unspent[origin]
+        point, ρ = TargetPoint(self.history.facet[origin], self.history.η[origin]), self.ρ[origin]
+        if self.friction and len(moved):
+            then = contactor_points(points, contactor).at(moved)
+            found, facing = self.target.faced(then, target)
+            point.facet[moved], point.η[moved] = found.facet, found.η
+            apart = self.apart(found, facing, then.x, target, self.owed_at(points)[moved])
+            ρ[moved] = 0.0 if apart is None else apart
+        self.set_history(point, ρ)
+
+    def owed_at(self, points: IntegrationPoints) -> Array:
+        """(n, gdim) what is `owed` at other points: that of the nearest."""
+        return self.owed[1][self.owed[0].nearest(points.facet, points.η)]
 
     def commit(self, unspent: Array | None, status: NDArray[np.int8]) -> None:
         """The step has converged: Y_{n−1} ← Y, from which the slip (n, gdim) that is `unspent` (m) goes on where points are
@@ -231,18 +241,30 @@ def contactor_points(points: IntegrationPoints, nodes: Array) -> ContactorPoints
 class PositionLevel(Kinematics):
     """Gap and slip of the present positions: eq. (1) as it stands."""
 
-    #: whether points that see the target's side at a slant face nothing, as they do with segments (`rays.py`)
-    ends_with_target = False
+    #: nodes of the target at which it turns away: what is at a slant is its side to points in whose tangent plane, up to
+    #: `level` (m), such a node lies. A multiplier goes on beside a target's corner, and must not press on the side there
+    turning_nodes: Index = np.zeros(0, dtype=np.int64)
+    level = 0.0
 
     def evaluate(self) -> None:
         self.target.refresh()
         now = self.contactor()
         self.x, self.at = now.x, self.target.project(now)
-        if self.ends_with_target:
+        if len(self.turning_nodes):
             assert isinstance(self.at, RayHit)
-            self.at.facing &= self.at.opposed()
+            self._leave_sides(self.at)
         self.may_close = self.at.facing & self.target.admits(now.facet, self.at.point)
         self.s = self.slip() if self.friction else None
+
+    def _leave_sides(self, at: RayHit) -> None:
+        """Points that see the target's side from beside its face do not face it."""
+        slanted = np.flatnonzero(at.facing & ~at.opposed())
+        if len(slanted):
+            from scipy.spatial import KDTree  # slow to import
+
+            x, corners = self.x[slanted], self.target.nodes[self.turning_nodes]
+            height = dot(corners[KDTree(corners).query(x)[1]] - x, at.ν[slanted])
+            at.facing[slanted[np.abs(height) <= self.level]] = False
 
     def slip(self) -> Array:
         """s = V_T Δt, eq. (5): (n, gdim) in m, of which only the tangential part counts. 𝐲 − φ₂(Y_{n−1}, t) with the closest
@@ -252,6 +274,11 @@ class PositionLevel(Kinematics):
             return (self.x if self.target.uses_rays else self.at.y) - self.positions_of_history()
         self._frame = self.target.tangents(self.history, self.slopes)
         return self.x - self.positions_of_history() - carried(self._frame, self.ρ)
+
+    def commit(self, unspent: Array | None, status: NDArray[np.int8]) -> None:
+        super().commit(unspent, status)
+        if self.carries:
+            self.owed = self.points, np.where((status == OPEN)[:, None], 0.0, self.slip())
 
     @property
     def carries(self) -> bool:

@@ -85,7 +85,7 @@ class PairFindings(PairResults):
 
     def coarse_integration(self) -> Finding | None:
         """Where closed Gauss points lie farther apart than the target facets they face are long (collective)."""
-        if self.segments is not None:
+        if self.is_segmented:
             return None
         closed = np.flatnonzero(self.state.status != OPEN)
         ratio = self.target.extents[self.at.point.facet[closed]] / self.integration.spacing[closed]

@@ -103,7 +103,7 @@ class Predictor:
         if len(self._states) - self._guesses > 1:
             for name in (name for name, _ in order if name != "bodies"):
                 half = (abscissa + self._abscissae[-1]) / 2
-                predicted[name]["λN_hat"] = self._extrapolated((name, "λN_hat"), half, 1)
+                predicted[name]["points_λN_hat"] = self._extrapolated((name, "points_λN_hat"), half, 1)
         problem.restore(predicted)
 
     def _extrapolated(self, array: tuple[str, str], abscissa: float, order: int) -> NDArray[np.float64]:

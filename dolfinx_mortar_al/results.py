@@ -15,7 +15,6 @@ from dolfinx_mortar_al.law import OPEN, STICK, Augmentation, LawState
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.projection import Projection
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
-from dolfinx_mortar_al.segments import Segments
 from dolfinx_mortar_al.targets import Target
 from dolfinx_mortar_al.validation import vector
 
@@ -30,6 +29,7 @@ class PairResults:
     """Results of a contact pair.
 
     Attributes:
+        is_segmented: whether facets are cut at all ends of the target's.
         state: what the law says at this rank's points; kinematics: where they are.
     """
 
@@ -40,7 +40,7 @@ class PairResults:
     kinematics: Kinematics
     target: Target
     multiplier: MultiplierSpace
-    segments: Segments | None
+    is_segmented: bool
     state: LawState
     _Λ: Array
     epsilon: Augmentation

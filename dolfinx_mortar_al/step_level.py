@@ -132,9 +132,11 @@ class StepLevel(Kinematics):
         depth[self.end.g > DEEP * self.target.size] = np.inf
         self.offset = np.where(closed, self.offset, depth)
 
-    def take(self, points: IntegrationPoints, contactor: Array, target: Array) -> None:
-        """Other points from now on, for a step from the present displacements; nothing is kept from step to step."""
+    def take(self, points: IntegrationPoints, origin: Index, contactor: Array, target: Array) -> None:
+        """Other points from now on, for a step from the present displacements; nothing but what is `unspent` is kept from
+        step to step."""
         self.points, self._place = points, None
+        self.offset, self.unspent = self.offset[origin], self.unspent[origin]
         self.begin()
         self.set_history(self.end.point)
 

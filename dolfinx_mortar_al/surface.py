@@ -412,6 +412,14 @@ class GatheredFacets:
         np.add.at(mean, corners, self._own_normals)
         return np.asarray(mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300))[corners]
 
+    def ends(self, cosine: float) -> NDArray[np.bool_]:
+        """(nodes,) whether the surface ends at a node, or its facets' normals there differ by more than an angle with this
+        cosine, in the reference configuration."""
+        flag = self.end_nodes.copy()
+        apart = np.einsum("fki,fki->fk", self._own_normals, self.normals_at_corners)
+        flag[self.facets[:, : apart.shape[1]][apart < np.sqrt((1.0 + cosine) / 2.0) - FLAT]] = True
+        return flag
+
     @cached_property
     def turns(self) -> Array:
         """(nf,) by how much the surface turns over each facet (rad): between the mean normals at its corners."""

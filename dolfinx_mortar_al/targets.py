@@ -47,6 +47,12 @@ class ContactorPoints:
     facet: Index
     η: Array
 
+    def at(self, which: Index) -> ContactorPoints:
+        """Some of them."""
+        return ContactorPoints(
+            self.x[which], self.normal[which], self.tangents[which], self.facet[which], self.η[which]
+        )
+
 
 class Target(ABC):
     """What a contact pair needs to know of its target.

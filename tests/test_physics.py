@@ -129,6 +129,7 @@ def test_slip_of_an_open_pair(dim):
     pair.evaluate()
     faced = pair.at.facing.copy()
     pair.commit()
+    pair.holds_points = True  # at the target's end they would follow it
     oblique = np.abs(pair.kinematics.ρ[faced][:, :-1]) / SHARE
     assert (
         np.all(pair.at.g[faced] < -gap / 4) and problem.comm.allreduce(float(oblique.max(initial=0.0)), MPI.MAX) > 1e-3

@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from robustness import BALANCE, DEEPEST, UNFELT, march
 from robustness_scenes import FAMILIES, draw
 
+from dolfinx_mortar_al.contact import ContactPair
 from dolfinx_mortar_al.monitors import ModelWarning
 
 pytestmark = pytest.mark.one_rank
@@ -71,10 +72,11 @@ def test_a_step_does_not_leap_out_of_contact():
     assert not any("leap" in name for name in run["findings"])
 
 
-def test_a_corner_within_facets_in_contact_is_said_and_what_helps():
-    """A soft block's corner digs .27 of its facets into a stiff slab, the contactor, as contact holds on average: more points
-    or segments leave it there (.29, .25), with the roles swapped it is .09."""
+def test_a_corner_within_facets_in_contact_is_said_and_what_helps(monkeypatch):
+    """A soft block's corner digs .27 of its facets into a stiff slab, the contactor, as contact holds on average where points
+    that face nothing count in full, as in space: more points leave it there (.29), with the roles swapped it is .09."""
     scene = draw(81003, 19)
+    monkeypatch.setattr(ContactPair, "_make_segments", lambda pair: None)
     with pytest.warns(ModelWarning, match="holds them apart on the average"):
         march(scene)
     assert march(replace(scene, swap=False))["penetration"] < 0.1
