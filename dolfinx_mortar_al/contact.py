@@ -597,10 +597,10 @@ class ContactPair(PairFindings):
         if self.segments is None or isinstance(self.kinematics, StepLevel):
             return False
         self.target.refresh()
-        points = self.segments.follow(self.kinematics.nodes(), self.target.nodes)
+        before, points = self.integration, self.segments.follow(self.kinematics.nodes(), self.target.nodes)
         if points is not None:
             self._adopt(points)
-        return points is not None
+        return self.integration is not before
 
     def begin_step(self) -> None:
         """A time step starts from the present displacements. Segments follow the bodies on facets without a closed point; on
