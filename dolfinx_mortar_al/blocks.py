@@ -152,11 +152,13 @@ class Blocks:
         self.NΛ = self._masked(self._whole)
         return True
 
-    def _masked(self, NΛ: Array) -> Array:
-        """The multiplier's interpolation (n, components, nodes × components) without the nodes that have no part in it."""
+    def _masked(self, NΛ: Array, act: Index | None = None) -> Array:
+        """The multiplier's interpolation (n, components, nodes × components), at all points or those `act`, without the nodes
+        that have no part in it."""
         if self.left_out_at_corners is None or not self.left_out_at_corners.any():
             return NΛ
-        out = np.repeat(self.left_out_at_corners[self.points.facet], self.multiplier.components, axis=1)
+        facet = self.points.facet if act is None else self.points.facet[act]
+        out = np.repeat(self.left_out_at_corners[facet], self.multiplier.components, axis=1)
         return np.where(out[:, None], 0.0, NΛ)
 
     def interpolation(self, ν: Array | None) -> Array:
@@ -168,7 +170,7 @@ class Blocks:
         """The same with all nodes."""
         n, _, nodes, m = self._nodal.shape
         if ν is None or m == 1:
-            return np.einsum("nabk,ik->nibk", self._nodal, np.eye(m)).reshape(n, m, nodes * m)
+            return _in_global_axes(self._nodal)
         at_nodes = nodal_normals(self.multiplier, self.points, ν)
         turned = rotation(at_nodes[self.points.facet], ν[:, None])
         return np.asarray(np.einsum("naik,nabk->nibk", turned, self._nodal).reshape(n, m, nodes * m))
@@ -180,13 +182,27 @@ class Blocks:
 
     def _tests(self, state: LawState, at: Projection) -> Array:
         """(n, components, nodes × components) the multiplier's test functions."""
-        tests = self.NΛ
+        return self.weighted(self.NΛ, state, at)
+
+    def weighted(self, tests: Array, state: LawState, at: Projection, act: Index | None = None) -> Array:
+        """Test functions (n, components, nodes × components) at all points, or at those `act`, as far as they count."""
+        facet, open_, facing = self.points.facet, state.status == OPEN, at.facing
+        if act is not None:
+            facet, open_, facing = facet[act], open_[act], facing[act]
         if self.left_out is not None:
-            out = self.left_out[self.points.facet] & (state.status == OPEN)[:, None]
+            out = self.left_out[facet] & open_[:, None]
             tests = np.where(np.repeat(out, self.multiplier.components, axis=1)[:, None], 0.0, tests)
         if self.beyond < 1.0:
-            tests = np.where(at.facing, 1.0, self.beyond)[:, None, None] * tests
+            tests = np.where(facing, 1.0, self.beyond)[:, None, None] * tests
         return tests
+
+    def along_facets(self, act: Index) -> Array:
+        """(n, components, nodes × components) derivative along the facet (η) of the multiplier's interpolation in global axes
+        at the points `act` of curves."""
+        points, multiplier = self.points, self.multiplier
+        slope = multiplier.shape.tabulate(points.η[act], 1)[1][:, 0]
+        nodal = slope[:, :, None, None] * np.moveaxis(multiplier.T, 1, 3)[points.facet[act]]
+        return self._masked(_in_global_axes(nodal), act)
 
     # ---------------------------------------------------------------- residual, eq. (4)
 
@@ -282,16 +298,22 @@ class Blocks:
         `act`, sorted, each as one integer."""
         target, extra = kinematics.at.point.facet[act], kinematics.extra
         more = target if extra is None else extra.facet[act]
-        return np.unique(np.ravel_multi_index((self.points.facet[act], target, more), self._couple_shape))
+        couples = [self.points.facet[act], target, more]
+        if (cuts := self.points.cuts) is not None:
+            moved = cuts.facet[cuts.cut], kinematics.at.point.facet[cuts.point], cuts.end[cuts.cut]
+            couples = [np.concatenate(both) for both in zip(couples, moved, strict=True)]
+        return np.unique(np.ravel_multi_index(couples, self._couple_shape))
 
     def with_neighbours(self, couples: Index, kinematics: Kinematics) -> Index:
         """Couples with the neighbours of their target facets, so that the pattern outlives a point's slip to the next
         facet."""
         facet, target, more = np.unravel_index(couples, self._couple_shape)
         near = self.target.neighbours
-        target, more = near[target][:, :, None], near[more][:, None, :]
-        if kinematics.extra is None:
-            target, more = target[:, :, 0], target[:, :, 0]
+        if kinematics.extra is None:  # what differs is where a cut's end is, and stays there
+            more = np.where((more == target)[:, None], near[target], more[:, None])
+            target = near[target]
+        else:
+            target, more = near[target][:, :, None], near[more][:, None, :]
         shape = np.broadcast_shapes(target.shape, more.shape)
         facet = facet.reshape(-1, *[1] * (len(shape) - 1))
         wide = [np.broadcast_to(a, shape).ravel() for a in (facet, target, more)]
@@ -306,11 +328,21 @@ class Blocks:
         facet, target, more = np.unravel_index(couples, self._couple_shape)
         on_target, d, m = self.target.blocks[self.target.facets], self.gdim, self.multiplier.components
         rows = [(facet, self.contactor, d), (target, on_target, d)]
-        columns = rows if kinematics.extra is None else [*rows, (more, on_target, d)]
         all_facets = np.arange(len(self.contactor))
         Λ, own = (facet, self.multiplier.blocks, m), (all_facets, self.multiplier.blocks, m)
-        places: list[tuple[Any, Any]] = [(rows, columns), (rows, [Λ]), ([Λ], columns), ([own], [own])]
-        return [[_zeros(i, j) for i in first for j in second] for first, second in places]
+        places: list[tuple[Any, Any]] = [(rows, rows), (rows, [Λ]), ([Λ], rows), ([own], [own])]
+        pattern = [[_zeros(i, j) for i in first for j in second] for first, second in places]
+        other = np.flatnonzero(more != target)
+        extra = more[other], on_target, d
+        for block, first in ((0, rows), (2, [Λ])):
+            pattern[block] += [_zeros((i[other], blocks, n), extra) for i, blocks, n in first]
+        return pattern
+
+
+def _in_global_axes(nodal: Array) -> Array:
+    """(n, components, nodes × components) from shape functions (n, nodes, own nodes, components)."""
+    n, _, nodes, m = nodal.shape
+    return np.einsum("nabk,ik->nibk", nodal, np.eye(m)).reshape(n, m, nodes * m)
 
 
 def _zeros(rows: tuple[Index, Index, int], columns: tuple[Index, Index, int]) -> tuple[Index, Index, Array]:

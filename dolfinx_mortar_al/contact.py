@@ -21,6 +21,7 @@ from dolfinx_mortar_al.active_set import ActiveSet, Decided
 from dolfinx_mortar_al.blocks import Blocks, Tangent
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.corners import SharpCorners
+from dolfinx_mortar_al.cut_tangent import CutTangent, tangent_of_cuts
 from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, degrees_on, segment_degree
 from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
 from dolfinx_mortar_al.law import OPEN, SLIP, Augmentation, Coulomb, Frictionless, LawState, augmented_normal
@@ -546,7 +547,7 @@ class ContactPair(PairFindings):
         self._divide()
         self.active.begin(self._converged.closed[self.integration.facet])
         if self.target_end is not None:
-            self.target_end.begin(self.kinematics.at.facing & self._converged.closed[self.integration.facet])
+            self._hold_to_target(self.target_end)
         self.begin_again()
 
     def begin_again(self) -> None:
@@ -565,10 +566,18 @@ class ContactPair(PairFindings):
             self.apply_law()
 
     def _project(self) -> None:
-        """Projection and slip; in statics a solve holds points to the target beyond its end."""
+        """Projection and slip; in statics a solve holds points to the target beyond its end, unless they follow it."""
         self.kinematics.evaluate()
-        if self.target_end is not None:
+        if self.target_end is None:
+            return
+        if isinstance(self.segments, CutAtEnds) and not self.holds_points:
+            self._hold_to_target(self.target_end)
+        else:
             self.target_end.hold(self.kinematics)
+
+    def _hold_to_target(self, end: TargetEnd) -> None:
+        """From now on the points that face the target, on facets that were in contact, do so beyond its end, too."""
+        end.begin(self.kinematics.at.facing & self._converged.closed[self.integration.facet])
 
     def let_go(self) -> bool:
         """Let points beyond the target's end go, on whatever rank; whether there are any (collective)."""
@@ -908,6 +917,13 @@ class ContactPair(PairFindings):
     def tangent(self) -> Tangent:
         """Contact's share of the Jacobian, eq. (6)."""
         return self.blocks.tangent(self.law, self.state, self._Λ, self.kinematics, self._act())
+
+    def tangent_of_cuts(self) -> CutTangent | None:
+        """What points that move with the target's end add to it, where they do."""
+        k = self.kinematics
+        if self.holds_points or not isinstance(k, PositionLevel):
+            return None
+        return tangent_of_cuts(self.blocks, self.law, self.state, self._Λ, k)
 
     def couples(self, near: bool = False) -> Index:
         """Where the matrices have entries now, as :meth:`Blocks.couples`; with `near` also where they might have soon, for

@@ -207,7 +207,10 @@ class ContactIteration:
 
     def _correct(self, bulk: LinearisedBulk | None, start: float) -> bool:
         """Steps from z with the bulk's derivative at x until the residual is below its tolerance or they do not pay any more;
-        then segments follow the bodies, and further such steps take away what that leaves. Whether any was taken."""
+        then segments follow the bodies, and further such steps take away what that leaves. Whether any was taken. Points at
+        the target's end, whose motion is part of the derivative, follow it in each step."""
+        if any_over(self.problem.comm, any([p.follow_segments() for p in self.problem.pairs if not p.is_segmented])):
+            self._evaluate(follow=True)
         taken, size = self._take_chords(bulk, start)
         while size <= 1.0 and self._segments_follow():
             more, size = self._take_chords(bulk, start)
@@ -234,7 +237,7 @@ class ContactIteration:
             if bulk is not None and self._is_solid:
                 self._linearise_again(bulk)
             self._solve(bulk, SOLVES, min(LINEAR, max(size / start, ENDS / size)), old=True)
-            self._advance()
+            self._advance(follow=True)
             if bulk is not None and self._is_solid and self.problem.contact_pattern() != pattern:
                 self._settle(bulk, 1.0, size)
             end = 1.0 if taken and size * size / start <= ENDS else ENDS
@@ -263,21 +266,21 @@ class ContactIteration:
         for pair, saved in zip(self.problem.pairs, self._decisions, strict=True):
             pair.undo_decisions(saved)
 
-    def _advance(self) -> None:
+    def _advance(self, follow: bool = False) -> None:
         """The step is taken."""
         self._total.axpy(1.0, self._step)
-        self._evaluate()
+        self._evaluate(follow)
 
-    def _evaluate(self) -> None:
+    def _evaluate(self, follow: bool = False) -> None:
         """Bring the pairs and their active sets up to date with z, at the points as they are: contact's state is compared
-        point by point. In space gaps are off by what GMRES leaves in the next step, as they are linear but for contact; in
-        the plane their whole error counts."""
+        point by point. Where it does not change any more those at the target's end may `follow` it. In space gaps are off
+        by what GMRES leaves in the next step, as they are linear but for contact; in the plane their whole error counts."""
         p = self.problem
         self._way.waxpy(1.0, self._y, self._total)
         self._z.waxpy(-1.0, self._way, self._x)  # with the line search's own rounding
         p.unpack(self._z)
         for pair in p.pairs:
-            pair.holds_points = True
+            pair.holds_points = pair.is_segmented or not follow
         p.evaluate()
         for pair in p.pairs:
             pair.holds_points = False

@@ -13,6 +13,7 @@ import numpy as np
 from basix import CellType
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.moving_cuts import MovingCuts
 from dolfinx_mortar_al.surface import Facets, GatheredFacets, ShapeFunctions, surface_normal
 
 __all__ = ["IntegrationPoints", "default_degree", "degrees_on", "segment_degree"]
@@ -97,6 +98,8 @@ class IntegrationPoints:
     η: Array
     weight: Array
     thickness: float
+    #: which of them move with ends of the target, if any do
+    cuts: MovingCuts | None = None
 
     @classmethod
     def gauss(cls, facets: Facets, degrees: Index, thickness: float) -> IntegrationPoints:

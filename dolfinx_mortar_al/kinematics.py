@@ -29,6 +29,7 @@ Bool = NDArray[np.bool_]
 
 # Of a gap's turn, what the target's facet says; the contactor's says the rest: half each, so that two bodies that mirror each
 # other have no slip (docs/theory.md).
+AT_NODE = 1e-9  # share of the other nodes where a point of the target is one of its nodes
 SHARE = 0.5
 ROUND_OFF = 4e-16  # of gaps, which are differences of sums, as a share of the distance from the origin
 
@@ -302,6 +303,20 @@ class PositionLevel(Kinematics):
         old += [f"w_p,{α}" for α in derivatives] if self.carries else []
         names = ["x", "w", *(f"w,{α}" for α in derivatives), *own, *old]
         return Slots(self.target.dim + 1, multiplier, tuple(names))
+
+    def along_facets(self, act: Index, slope: Array) -> Array:
+        """(n, z) variations of the slots as points `act` move along their facets by δη = 1, the multiplier by its `slope`
+        (n, components). What they have slipped stays, as history is found anew where they go; what has come from beyond the
+        target's end slips from there, a node of it."""
+        points, slots = self.points, self.slots(slope.shape[1])
+        _, dN, ddN = points.facets.shape.tabulate(points.η[act], 2)
+        nodes = self.nodes()[points.facet[act]]
+        a, aη = ((B[:, None] @ nodes)[:, 0] for B in (dN[:, 0], ddN[:, 0, 0]))
+        motion = {"x": a, "x,0": aη}
+        if self.friction:
+            from_end = self.weights[act].max(axis=1) > 1.0 - AT_NODE
+            motion["w_p"] = np.where(from_end[:, None], 0.0, a)
+        return np.concatenate([*(motion.get(name, np.zeros_like(a)) for name in slots.names), slope], axis=1)
 
     def forces(self, state: LawState) -> Forces:
         """−∫ t·(N1 U1* − N2(η) U2*) dS₀, eq. (4)."""

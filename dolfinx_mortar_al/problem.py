@@ -505,6 +505,9 @@ class ContactProblem:
                 insert(self.blocks[0][k], *element.UΛ, unit)
                 insert(self.blocks[k][0], *element.ΛU, unit)
                 insert(self.blocks[k][k], *element.ΛΛ, unit**2)
+                if (cuts := pair.tangent_of_cuts()) is not None:
+                    insert(self.contact_share, *cuts.UU)
+                    insert(self.blocks[k][0], *cuts.ΛU, unit)
                 idle = pair.multiplier.idle
                 self.blocks[k][k].setValuesRCV(idle[:, None], idle[:, None], np.full((len(idle), 1, 1), unit), _ADD)
             for block in mine:

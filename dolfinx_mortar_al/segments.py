@@ -11,6 +11,7 @@ its slope: Newton's tangent may leave the motion of the points out, and a small 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import Any
 
 import basix
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.clipping import areas, clip, triangulate
 from dolfinx_mortar_al.integration import IntegrationPoints
+from dolfinx_mortar_al.moving_cuts import MovingCuts
 from dolfinx_mortar_al.projection import dot, inverse
 from dolfinx_mortar_al.rays import OPPOSED
 from dolfinx_mortar_al.reductions import max_over
@@ -67,8 +69,10 @@ class Segments(ABC):
         own = np.linalg.norm(np.ptp(facets.X, axis=1), axis=1).max(initial=0.0)
         #: farther from the contactor (m) an end of a target facet makes no cut: nothing is closed there
         self._reach = max(target.size_of_facets, float(own))
-        #: nodes at which the target turns away, by more than makes its side
-        self.turning_nodes = np.flatnonzero(target.ends(OPPOSED) & ~target.end_nodes)
+        # (nodes,) where the target ends, or turns away by more than makes its side
+        self._sharp = target.ends(OPPOSED)
+        #: nodes of the latter kind
+        self.turning_nodes = np.flatnonzero(self._sharp & ~target.end_nodes)
         self._x1, self._x2 = facets.X, target.X
         self.begin()
         self.forget()
@@ -164,7 +168,9 @@ class _Intervals(Segments):
     """Intervals between the rays through the target's vertices."""
 
     def _ends(self, target: Array) -> tuple[Array, Array]:
-        self._vertices = np.unique(self._target.facets[:, np.concatenate(self._target.shape.sides)])
+        sides = self._target.facets[:, np.concatenate(self._target.shape.sides)]
+        self._vertices, first = np.unique(sides, return_index=True)
+        self._facet_at = first // sides.shape[1]
         return target[self._vertices], np.zeros(len(self._vertices))
 
     def _images(self, facet: Index, end: Index, contactor: Array, target: Array) -> tuple[Array, Bool]:
@@ -172,7 +178,16 @@ class _Intervals(Segments):
         return η, (np.abs(d) <= self._reach) & (np.abs(η - 0.5) <= 0.5)
 
     def _points(self, facet: Index, end: Index, images: Array) -> IntegrationPoints:
-        facet, first, last = cuts_on_curve(facet, images, self._facets.size)
+        facet, first, last, *cuts = cuts_on_curve(facet, images, self._facets.size)
+        points, node = self._on_intervals(facet, first, last), self._vertices[end]
+        moves = np.append(self._sharp[node], False)  # where the integrand jumps, and not at a facet's end, −1
+        begin, close = (np.where(moves[cut], cut, -1) for cut in cuts)
+        at = points.facet, points.η[:, 0], points.weight
+        moving = MovingCuts.of(at, (facet, first, last), (begin, close), (node, self._facet_at[end]))
+        return points if moving is None else replace(points, cuts=moving)
+
+    def _on_intervals(self, facet: Index, first: Array, last: Array) -> IntegrationPoints:
+        """Points of intervals (m,) of facets, between a first and a last η."""
         ξ, weight = self._facets.shape.quadrature(self._degree)
         length = (last - first)[:, None]
         points = (first[:, None] + length * ξ[:, 0]).reshape(-1, 1)
@@ -193,14 +208,15 @@ class CutAtEnds(_Intervals):
 
     def __init__(self, target: GatheredFacets, gauss: IntegrationPoints, degree: int, comm: MPI.Intracomm) -> None:
         self._gauss = gauss
-        self._sharp = np.flatnonzero(target.ends(OPPOSED))
         self._first = np.ones(gauss.facets.size)
         np.minimum.at(self._first, gauss.facet, gauss.η[:, 0])
         super().__init__(gauss.facets, target, degree, gauss.thickness, comm)
 
     def _ends(self, target: Array) -> tuple[Array, Array]:
-        self._vertices = self._sharp
-        return target[self._vertices], np.zeros(len(self._vertices))
+        every = super()._ends(target)
+        sharp = self._sharp[self._vertices]
+        self._vertices, self._facet_at = self._vertices[sharp], self._facet_at[sharp]
+        return every[0][sharp], every[1][sharp]
 
     def begin(self) -> None:
         self._still, self._last = STILL_AT_ENDS, np.inf
@@ -216,11 +232,11 @@ class CutAtEnds(_Intervals):
     def _points(self, facet: Index, end: Index, images: Array) -> IntegrationPoints:
         amid = np.abs(images - 0.5) < 0.5 - self._first[facet]
         facet, images = facet[amid], images[amid]
-        if not len(facet):
-            return self._gauss
-        whole = np.ones(self._facets.size, dtype=bool)
-        whole[facet] = False
-        return self._gauss.spliced(super()._points(facet, end, images), whole)
+        return super()._points(facet, end[amid], images) if len(facet) else self._gauss
+
+    def _on_intervals(self, facet: Index, first: Array, last: Array) -> IntegrationPoints:
+        whole = np.bincount(facet, minlength=self._facets.size) == 1
+        return self._gauss.spliced(super()._on_intervals(facet, first, last), whole)
 
 
 def images_on_curve(shape: ShapeFunctions, nodes: Array, y: Array) -> tuple[Array, Array]:
@@ -246,17 +262,19 @@ def images_on_curve(shape: ShapeFunctions, nodes: Array, y: Array) -> tuple[Arra
     return np.where(outside, np.inf, η), d
 
 
-def cuts_on_curve(facet: Index, η: Array, size: int) -> tuple[Index, Array, Array]:
-    """Intervals between cuts at η (n,) in [0, 1] of facets (n,) out of `size`: facet, first and last η of each (m,)."""
+def cuts_on_curve(facet: Index, η: Array, size: int) -> tuple[Index, Array, Array, Index, Index]:
+    """Intervals between cuts at η (n,) in [0, 1] of facets (n,) out of `size`: facet, first and last η of each (m,), and
+    which cuts these are, −1 at a facet's end."""
     all_facets = np.arange(size)
     owner, at = np.concatenate([facet, all_facets, all_facets]), np.concatenate([η, np.zeros(size), np.ones(size)])
+    cut = np.concatenate([np.arange(len(facet)), np.full(2 * size, -1)])
     order = np.lexsort([at, owner])
-    owner, at = owner[order], at[order]
+    owner, at, cut = owner[order], at[order], cut[order]
     at = np.where(at > 1.0 - SNAP, 1.0, at)  # ends win over cuts that are close
     keep = np.r_[True, (np.diff(owner) > 0) | (np.diff(at) > SNAP)] if len(at) else np.zeros(0, dtype=bool)
-    owner, at = owner[keep], at[keep]
+    owner, at, cut = owner[keep], at[keep], np.where((at == 0.0) | (at == 1.0), -1, cut)[keep]
     same = np.flatnonzero(np.diff(owner) == 0)
-    return owner[same], at[same], at[same + 1]
+    return owner[same], at[same], at[same + 1], cut[same], cut[same + 1]
 
 
 # -------------------------------------------------------------------- on a surface

@@ -44,14 +44,15 @@ def test_images_are_where_rays_meet(order):
 
 @pytest.mark.one_rank
 def test_cuts_share_out_each_facet():
-    """Whatever the cuts, the intervals of a facet go from 0 to 1 without gap; a sliver is none."""
+    """Whatever the cuts, the intervals of a facet go from 0 to 1 without gap; a sliver is none; each end knows its cut."""
     rng = np.random.default_rng(2)
     facet, η = rng.integers(0, 5, 40), np.concatenate([rng.uniform(0, 1, 36), [0.0, 1.0, 1e-12, 1 - 1e-12]])
-    owner, first, last = cuts_on_curve(facet, η, 7)
+    owner, first, last, begin, end = cuts_on_curve(facet, η, 7)
     assert np.allclose(np.bincount(owner, last - first, minlength=7), 1.0, rtol=0, atol=1e-15)
     assert (last - first).min() > 1e-6
     inner = np.flatnonzero(np.diff(owner) == 0)
-    assert np.array_equal(last[inner], first[inner + 1])
+    assert np.array_equal(last[inner], first[inner + 1]) and np.array_equal(end[inner], begin[inner + 1])
+    assert np.array_equal(η[begin[begin >= 0]], first[begin >= 0]) and (begin[first == 0.0] == -1).all()
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])

@@ -9,10 +9,14 @@ from scenes import assert_tangent, beams, rough, set_field
 from test_corners import DEPTH, PRESS, block_on_slab, march
 
 from dolfinx_mortar_al.active_set import LOSSES
+from dolfinx_mortar_al.law import OPEN, SLIP, STICK
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from patch_test import pressure_error, squeezed_shells
+from robustness_model import Model
 from robustness_scenes import Stage
+
+from meshes.two_beams import UPPER
 
 EPS = 1e7  # Pa/m
 GAP = 3e-4  # m, between the beams as they are meshed
@@ -34,6 +38,7 @@ def held_beyond(dim, triangles, order, friction):
     pair.active.closed = pair.at.facing.copy()
     pair.commit()
     pair.begin()
+    pair.holds_points = True  # in the plane they would follow the end
     direction = [rough(1.0, 4), rough(EPS, 5)]
 
     def at(h):
@@ -92,6 +97,50 @@ def test_the_facet_goes_on_beyond_its_side(dim, triangles, order, friction):
     assert_tangent(problem, at, along)
     assert pair.let_go()
     assert not (beyond & pair.at.facing).any() and not pair.let_go()
+
+
+@pytest.mark.one_rank
+@pytest.mark.parametrize("friction", [0.0, 0.3, 3.0], ids=["frictionless", "slip", "stick"])
+@pytest.mark.parametrize("integration", ["gauss", "segments"])
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("swap", [False, True], ids=["block", "slab"])
+def test_tangent_where_points_follow_the_end(swap, order, integration, friction):
+    """The derivative of what is integrated up to the target's end: points move along with it, and each in its state."""
+    scene = block_on_slab([PRESS], swap=swap, sides=False, friction=friction, order=order, end=0.4 if swap else 0.2)
+    model = Model(scene, integration=integration)
+    problem, pair, V = model.problem, model.pair, model.u.function_space
+    X, upper = V.tabulate_dof_coordinates()[:, :2], np.unique(V.dofmap.list[model.cell_tags.find(UPPER)])
+    free = problem.bodies.bodies[0].prescribed().x.array.reshape(-1, 2) == 0.0
+    # flat where the slip is to be the same everywhere, as that of points that move is taken to stay, and where integrals are
+    # to be exact, as other cuts of segments are taken not to matter
+    base, along = rough(0.0 if friction or integration == "segments" else 3e-3, 2)(X), np.zeros_like(X)
+    along[upper, 0] = 2e-3
+    base[~free] = 0.0
+    base[upper, 1] -= 0.02
+    model._driven.x.array[:] = (base + along).ravel()
+    set_field(problem, lambda X: base, clamped=False)
+    pair.evaluate()
+    pair.commit()
+    direction = [lambda X: rough(1.0, 4)(X) * free, rough(1e3, 5)]
+
+    def pull(X):
+        return rough(0.1, 3)(X) + np.array([1.0, -1.0 if swap else 1.0])
+
+    def at(h):
+        u, Λ = (lambda X: base + along + h * direction[0](X)), (lambda X: 1e4 * pull(X) + h * direction[1](X))
+        set_field(problem, u, Λ, clamped=False)
+        problem.pack(problem.x)
+        pair.segments.forget()
+        problem.assemble_residual(problem.x, problem.residual)
+        return [part.array.copy() for part in problem.residual.getNestSubVecs()]
+
+    at(0.0)
+    pair.active.closed = pair.at.facing & (pair.state.λN_hat > 0)
+    at(0.0)
+    cuts, status = pair.integration.cuts, STICK if friction > 1.0 else SLIP
+    assert cuts is not None and np.isin(pair.state.status[cuts.point], [OPEN, status]).all()
+    assert (pair.state.status[cuts.point] == status).any()
+    assert_tangent(problem, at, lambda: set_field(problem, *direction, clamped=False))
 
 
 @pytest.mark.parametrize(

@@ -410,12 +410,11 @@ def test_a_pin_that_its_hole_presses_all_round_is_held(order, swap):
     assert pair.pressing() > 4e3
 
 
-@pytest.mark.parametrize("friction, swap, most", [(0.5, False, 60), (0.5, True, 60), (0.2, True, 100)])
-def test_a_lintel_lies_on_two_bricks_under_its_weight(friction, swap, most):
+@pytest.mark.parametrize("friction, swap", [(0.5, False), (0.5, True), (0.2, True)])
+def test_a_lintel_lies_on_two_bricks_under_its_weight(friction, swap):
     """As it bends it slides on both bricks, so that friction holds neither it nor them while Newton is on its way, at
     whatever load, as all that touches does so exactly. They took 97 iterations, 166 with rejected trials, and the third
-    failed; the first two take 45 and 27 to 60. The third takes 82, 32 with points that do not follow the bricks' ends,
-    which end inside facets of the contactor."""
+    failed."""
     constants, whole = [], 2e4
 
     def weight(domain):
@@ -435,7 +434,7 @@ def test_a_lintel_lies_on_two_bricks_under_its_weight(friction, swap, most):
     contacts = [Contact(*(pair[::-1] if swap else pair), friction=friction) for pair in touching]
     problem = ContactProblem([ground, left, right, lintel], contacts=contacts)
     steps = list(quasistatic.march(problem, load, to=whole, increments=3))
-    assert sum(step.iterations for step in steps) <= most and not any(step.rejected for step in steps)
+    assert sum(step.iterations for step in steps) <= 60 and not any(step.rejected for step in steps)
     sign, bricks, beam = -1.0 if swap else 1.0, 0.025 * whole, 0.15 * whole
     for pair, borne in zip(problem.pairs, (beam / 2 + bricks, beam / 2 + bricks, -beam / 2, -beam / 2), strict=True):
         assert sign * pair.force()[1] == pytest.approx(borne, rel=2e-3)
