@@ -18,6 +18,7 @@ from dolfinx_mortar_al.frames import nodal_normals, rotation
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.kinematics import Kinematics
 from dolfinx_mortar_al.law import OPEN, Coulomb, Frictionless, LawState
+from dolfinx_mortar_al.moving_cuts import MovingCuts
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.projection import Projection
 from dolfinx_mortar_al.reductions import all_over
@@ -300,9 +301,13 @@ class Blocks:
         more = target if extra is None else extra.facet[act]
         couples = [self.points.facet[act], target, more]
         if (cuts := self.points.cuts) is not None:
-            moved = cuts.facet[cuts.cut], kinematics.at.point.facet[cuts.point], cuts.end[cuts.cut]
+            moved = cuts.facet[cuts.cut], self.faced_at_cuts(cuts, kinematics.at), cuts.end[cuts.cut]
             couples = [np.concatenate(both) for both in zip(couples, moved, strict=True)]
         return np.unique(np.ravel_multi_index(couples, self._couple_shape))
+
+    def faced_at_cuts(self, cuts: MovingCuts, at: Projection) -> Index:
+        """(m,) target facets that the points of the cuts face; where they face none, one at the cut's end."""
+        return np.where(at.facing[cuts.point], at.point.facet[cuts.point], cuts.end[cuts.cut])
 
     def with_neighbours(self, couples: Index, kinematics: Kinematics) -> Index:
         """Couples with the neighbours of their target facets, so that the pattern outlives a point's slip to the next

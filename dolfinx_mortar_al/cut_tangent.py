@@ -50,7 +50,7 @@ def tangent_of_cuts(
     rates = _rates(blocks, cuts, law, state, Λ, kinematics)
     # rows at the nodes of each target facet that points of a cut face, as for other points
     shape = len(cuts.facet), len(target.facets)
-    faced = kinematics.at.point.facet[cuts.point]
+    faced = blocks.faced_at_cuts(cuts, kinematics.at)
     runs, run = np.unique(np.ravel_multi_index((cuts.cut, faced), shape), return_inverse=True)
     cut, faced = np.unravel_index(runs, shape)
     facet, nodes = cuts.facet[cut], target.facets[faced]
