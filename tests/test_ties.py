@@ -414,7 +414,7 @@ def test_a_pin_that_its_hole_presses_all_round_is_held(order, swap):
 def test_a_lintel_lies_on_two_bricks_under_its_weight(friction, swap):
     """As it bends it slides on both bricks, so that friction holds neither it nor them while Newton is on its way, at
     whatever load, as all that touches does so exactly. They took 97 iterations, 166 with rejected trials, and the third
-    failed."""
+    failed; now 45, 24 and 20."""
     constants, whole = [], 2e4
 
     def weight(domain):
