@@ -69,8 +69,6 @@ class Blocks:
         self.target, self.multiplier = target, multiplier
         self.contactor, self.fixed = contactor, fixed
         self.gdim = fixed.shape[2]
-        #: weight of points that face nothing in the multiplier's equation
-        self.beyond = 1.0
         #: (nf, multiplier nodes) nodes whose multiplier is no matter of a facet's open points, None if there are none
         self.left_out: Bool | None = None
         #: (nf, nodes) nodes that have no part in a facet at a sharp corner, None where there are none
@@ -123,15 +121,15 @@ class Blocks:
         """Add nothing of the kind."""
         self._smoothing, self.smoothed = None, np.zeros(len(self.contactor))
 
-    def smooth(self, closed: Bool, facing: Bool) -> None:
+    def smooth(self, closed: Bool, counts: Bool) -> None:
         """Let what holds the multiplier smooth count on facets that are closed altogether, when the points `closed` (n,) are,
-        without those at sharp corners, in which some nodes have no part. Points that face nothing do not count where they
-        hardly do in the multiplier's equation; `facing` (n,) are those that face the target (collective)."""
+        without those at sharp corners, in which some nodes have no part; `counts` (n,) are points with more than a trifling
+        part in the multiplier's equation (collective)."""
         if self._smoothing is None or self.holds_facets:
             return
         zone = np.zeros(len(self.contactor), dtype=bool)
         zone[self.points.facet[closed]] = True
-        open_ = self.points.sum_by_facet((~closed & (facing | (self.beyond == 1.0))).astype(float)) > 0
+        open_ = self.points.sum_by_facet((~closed & counts).astype(float)) > 0
         if self.left_out_at_corners is not None:
             open_ |= np.any(self.left_out_at_corners, axis=1)
         self.smoothed = np.where(open_, 0.0, self._width.share(zone))
@@ -181,20 +179,21 @@ class Blocks:
         nodal = self.multiplier.own_nodal()[self.points.facet].reshape(*self.NΛ[:, 0].shape, 1)
         return np.asarray((self.NΛ @ nodal)[:, :, 0])
 
-    def _tests(self, state: LawState, at: Projection) -> Array:
+    def _tests(self, state: LawState, share: Array) -> Array:
         """(n, components, nodes × components) the multiplier's test functions."""
-        return self.weighted(self.NΛ, state, at)
+        return self.weighted(self.NΛ, state, share)
 
-    def weighted(self, tests: Array, state: LawState, at: Projection, act: Index | None = None) -> Array:
-        """Test functions (n, components, nodes × components) at all points, or at those `act`, as far as they count."""
-        facet, open_, facing = self.points.facet, state.status == OPEN, at.facing
+    def weighted(self, tests: Array, state: LawState, share: Array, act: Index | None = None) -> Array:
+        """Test functions (n, components, nodes × components) at all points, or at those `act`, each as far as it counts:
+        `share` (n,)."""
+        facet, open_ = self.points.facet, state.status == OPEN
         if act is not None:
-            facet, open_, facing = facet[act], open_[act], facing[act]
+            facet, open_, share = facet[act], open_[act], share[act]
         if self.left_out is not None:
             out = self.left_out[facet] & open_[:, None]
             tests = np.where(np.repeat(out, self.multiplier.components, axis=1)[:, None], 0.0, tests)
-        if self.beyond < 1.0:
-            tests = np.where(facing, 1.0, self.beyond)[:, None, None] * tests
+        if (share < 1.0).any():
+            tests = share[:, None, None] * tests
         return tests
 
     def along_facets(self, act: Index) -> Array:
@@ -207,9 +206,9 @@ class Blocks:
 
     # ---------------------------------------------------------------- residual, eq. (4)
 
-    def multiplier_residual(self, state: LawState, at: Projection) -> tuple[Index, Array]:
+    def multiplier_residual(self, state: LawState, share: Array) -> tuple[Index, Array]:
         """∫ r·δΛ dS₀ and what holds Λ smooth: global blocks (nf, nodes) and element vectors (nf, nodes, components)."""
-        values = ((self.points.j[:, None] * state.r)[:, None] @ self._tests(state, at))[:, 0]
+        values = ((self.points.j[:, None] * state.r)[:, None] @ self._tests(state, share))[:, 0]
         blocks, total = self.multiplier.blocks, self.points.sum_by_facet(values)
         smoothing = self._smoothed()
         if smoothing is not None:
@@ -247,7 +246,7 @@ class Blocks:
         rows, columns = kinematics.rows(act), kinematics.columns(act)
 
         n, d, m = len(act), self.gdim, self.multiplier.components
-        tests = self._tests(state, kinematics.at)
+        tests = self._tests(state, kinematics.share)
         NΛ, δr = self.NΛ[act], δr * j[:, None, None]
         nodes = NΛ.shape[2] // m
         z = d * len(slots.names)

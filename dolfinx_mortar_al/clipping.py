@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["areas", "clip", "triangulate"]
+__all__ = ["areas", "clip", "contains", "triangulate"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -59,6 +59,16 @@ def areas(polygons: Array, count: Index) -> Array:
     other = np.take_along_axis(arm, following[:, :, None], axis=1)
     cross = arm[..., 0] * other[..., 1] - arm[..., 1] * other[..., 0]
     return np.asarray(0.5 * np.where(place < count[:, None], cross, 0.0).sum(axis=1))
+
+
+def contains(polygons: Array, count: Index, x: Array) -> NDArray[np.bool_]:
+    """(m, k) which points x (k, 2) lie in each convex polygon, anticlockwise, its sides included."""
+    place = np.arange(polygons.shape[1])
+    following = np.where(place + 1 < count[:, None], place + 1, 0)
+    along = np.take_along_axis(polygons, following[:, :, None], axis=1) - polygons
+    arm = x[None, :, None] - polygons[:, None]
+    left = along[:, None, :, 0] * arm[..., 1] - along[:, None, :, 1] * arm[..., 0] >= 0.0
+    return np.asarray((left | (place >= count[:, None])[:, None]).all(axis=2))
 
 
 def triangulate(polygons: Array, count: Index) -> tuple[Index, Array]:

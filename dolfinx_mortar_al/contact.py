@@ -32,7 +32,7 @@ from dolfinx_mortar_al.pair_findings import PairFindings
 from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.reductions import any_over, max_over, min_over, sum_over
-from dolfinx_mortar_al.segments import UNCOVERED, CutAtEnds, Segments, segments_of
+from dolfinx_mortar_al.segments import UNCOVERED, Segments, ends_of, segments_of
 from dolfinx_mortar_al.self_target import SelfTarget
 from dolfinx_mortar_al.smoothing import lacking_compliance
 from dolfinx_mortar_al.step_level import StepLevel
@@ -225,7 +225,8 @@ class ContactPair(PairFindings):
         self.holds_points = False
         self.segments = self._make_segments()
         if self.segments is not None:  # in statics they end with the target
-            self.blocks.beyond = UNCOVERED
+            self.segments.fills = np.asarray(self._at_end.any(axis=1))
+            statics.beyond = UNCOVERED
             statics.turning_nodes = self.segments.turning_nodes
             statics.level = max(self.target.size, contactor.size_of_facets)
         self._bodies = bodies
@@ -278,20 +279,19 @@ class ContactPair(PairFindings):
         return faced
 
     def _make_segments(self) -> Segments | None:
-        """What moves the points: segments, where they are wanted and there is a target with ends of facets; in the plane the
-        end of a target."""
-        degree, target = self.contact.quadrature_degree, self.target
+        """What moves the points: segments, where they are wanted and there is a target with ends of facets, and else the
+        target's own end."""
+        degree, target, shape = self.contact.quadrature_degree, self.target, self.facets.shape
         if not isinstance(target, DeformableTarget) or not target.uses_rays:
             return None
-        if not self.is_segmented:
-            if self.facets.shape.dim > 1:
-                return None
+        if shape.dim == 1 and not self.is_segmented:
             if degree is None:
                 degree = default_degree(self.facets, self.contact.contactor.is_membrane)
-            return CutAtEnds(target.surface, self.gauss, degree, self.comm)
-        if degree is None:
-            degree = segment_degree(self.facets.shape, target.surface.shape, self.contact.multiplier_order)
-        return segments_of(self.facets, target.surface, degree, self.thickness, self.comm)
+            return ends_of(target.surface, self.gauss, degree, self.comm)
+        least = segment_degree(shape, target.surface.shape, self.contact.multiplier_order)
+        if not self.is_segmented:  # polygons are many, and exact with this
+            return ends_of(target.surface, self.gauss, least, self.comm)
+        return segments_of(self.facets, target.surface, degree or least, self.thickness, self.comm)
 
     def _make_end(self) -> TargetEnd | None:
         """What holds points to a target that rays may miss."""
@@ -381,11 +381,11 @@ class ContactPair(PairFindings):
         self.stiffness, self.unit = stiffness, share * stiffness
         self._use_epsilon(normal * stiffness, self.unit)
 
-    def _use_epsilon(self, normal: float, tangential: float) -> None:
-        """Fix the law by these ε_N and ε_T (Pa/m), or the user's."""
+    def _use_epsilon(self, normal: float, tangential: float, more: float = 0.0) -> None:
+        """Fix the law by these ε_N and ε_T (Pa/m), or the user's, and by what the pressure adds to either."""
         c = self.contact
-        εN = normal if c.epsilon_normal is None else c.epsilon_normal
-        εT = tangential if c.epsilon_tangential is None else c.epsilon_tangential
+        εN = (normal if c.epsilon_normal is None else c.epsilon_normal) + more
+        εT = (tangential if c.epsilon_tangential is None else c.epsilon_tangential) + more
         self.epsilon = Augmentation(εN, εT)
         # the residual of an open point, ν λ_N/ε_N − λ_T/ε_T, turns with ν unless ε_N = ε_T
         self._same_ε = εN == εT or not self.friction
@@ -403,12 +403,11 @@ class ContactPair(PairFindings):
         p = np.maximum(self._normal_multiplier(), 0.0)
         slopes = [(self.j * p) @ (p / extents) for extents in self._extents()]
         *slopes, force = sum_over(self.comm, np.array([*slopes, self.j @ p]))
-        ε, self.is_pressed_hard = self.unit, False
+        excess = 0.0
         if force > 0:
             excess = max(slope / force - OWN * k for slope, k in zip(slopes, self.stiffnesses, strict=True))
-            ε, self.is_pressed_hard = ε + RIPPLING * max(0.0, excess), excess > 0.0
-        if ε != self.epsilon.normal:
-            self._use_epsilon(ε, ε)
+        self.is_pressed_hard = excess > 0.0
+        self._use_epsilon(self.unit, self.unit, RIPPLING * max(0.0, excess))
 
     def _hold_smooth(self) -> None:
         """Hold a multiplier smooth where the contactor is finer than the target, in statics: membranes yield otherwise, and
@@ -570,7 +569,7 @@ class ContactPair(PairFindings):
         self.kinematics.evaluate()
         if self.target_end is None:
             return
-        if isinstance(self.segments, CutAtEnds) and not self.holds_points:
+        if self.segments is not None and not self.holds_points:
             self._hold_to_target(self.target_end)
         else:
             self.target_end.hold(self.kinematics)
@@ -658,7 +657,7 @@ class ContactPair(PairFindings):
         k, active = self.kinematics, self.active
         if self.blocks.leave_out_at_corners(active.closed):
             self._Λ = self.blocks.multiplier_at_points()
-        self.blocks.smooth(active.closed & k.at.facing, k.at.facing)
+        self.blocks.smooth(active.closed & k.at.facing, k.share > UNCOVERED)
         self.state = self.law.evaluate(self._Λ, k.at, k.s, active.closed, active.frozen, active.held)
 
     def decide(self, residual: PETSc.Vec) -> bool:
@@ -743,8 +742,9 @@ class ContactPair(PairFindings):
         the balance of energy needs: corners' nodes keep all of their facets."""
         if not isinstance(self.kinematics, StepLevel):
             self._leave_ends()
+            if self.segments is not None:
+                self.segments.fills = np.zeros_like(self.segments.fills)
             self.blocks.corners = self.target_end = None
-            self.blocks.beyond = 1.0
             self.blocks.leave_rough()
             self.kinematics = StepLevel(self.kinematics)
             self.active.cautious = False
@@ -903,16 +903,22 @@ class ContactPair(PairFindings):
 
     def multiplier_residual(self) -> tuple[Index, Array]:
         """∫ r·N1 Λ* dS₀, eq. (4), as :meth:`Blocks.multiplier_residual`."""
-        return self.blocks.multiplier_residual(self.state, self.kinematics.at)
+        return self.blocks.multiplier_residual(self.state, self.kinematics.share)
 
     def body_residual(self, *, reactions: bool = False) -> list[tuple[Index, Array]]:
         """−∫ t·(N1 U1* − N2(η) U2*) dS₀, eq. (4), as :meth:`Blocks.body_residual`."""
         return self.blocks.body_residual(self.state, self.kinematics, reactions=reactions)
 
     def _act(self) -> Index:
-        """Points whose derivative is not that of an open point with ε_N = ε_T, or a ν that is held."""
+        """Points whose derivative is not that of an open point with ε_N = ε_T, or a ν that is held, and with a share that
+        stays."""
         n, same = self.integration.size, self._same_ε or self.kinematics.normals is not None
-        return np.flatnonzero(self.state.status != OPEN) if same else np.arange(n)
+        if not same:
+            return np.arange(n)
+        act, k = self.state.status != OPEN, self.kinematics
+        if isinstance(k, PositionLevel) and k.beyond < 1.0:
+            act = act | k.slanted
+        return np.flatnonzero(act)
 
     def tangent(self) -> Tangent:
         """Contact's share of the Jacobian, eq. (6)."""
@@ -920,8 +926,8 @@ class ContactPair(PairFindings):
 
     def tangent_of_cuts(self) -> CutTangent | None:
         """What points that move with the target's end add to it, where they do."""
-        k = self.kinematics
-        if self.holds_points or not isinstance(k, PositionLevel):
+        k, segments = self.kinematics, self.segments
+        if self.holds_points or not isinstance(k, PositionLevel) or segments is None or segments.rest:
             return None
         return tangent_of_cuts(self.blocks, self.law, self.state, self._Λ, k)
 

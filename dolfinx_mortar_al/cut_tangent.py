@@ -100,6 +100,6 @@ def _rates(
     contactor = -N[:, :, None] * (δj * t + j * δt)[:, None] - dN[:, 0, :, None] * (j * t)[:, None]
     target = at.N[:, :, None] * (δj * t + j * δt)[:, None] + at.dN[:, 0, :, None] * (j * moving)[:, None]
     target[now.status == OPEN] = 0.0
-    tests, slopes = (blocks.weighted(B, state, kinematics.at, k) for B in (NΛ, slope))
+    tests, slopes = (blocks.weighted(B, state, kinematics.share, k) for B in (NΛ, slope))
     multiplier = (δj * r + j * δr)[:, None] @ tests + (j * r)[:, None] @ slopes
     return _Rates(contactor, target, multiplier.reshape(len(k), -1, m))

@@ -18,8 +18,8 @@ from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.law import OPEN, STICK, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot
 from dolfinx_mortar_al.rays import RayHit
-from dolfinx_mortar_al.targets import ContactorPoints, Target
-from dolfinx_mortar_al.variation import Slots, vary
+from dolfinx_mortar_al.targets import ContactorPoints, DeformableTarget, Target
+from dolfinx_mortar_al.variation import Slots, Variation, vary, vary_cosine
 
 __all__ = ["Forces", "Kinematics", "PositionLevel", "contactor_points"]
 
@@ -68,6 +68,7 @@ class Kinematics(ABC):
         offset: (n,) depth from which the law counts a point's penetration (m): that at which a time step brought it into
             sight (`step_level.py`), infinite where it takes no part; zero in statics.
         owed: points, and (n, gdim) the slip (m) from the history at each of them where the last step ended.
+        share: (n,) how far each point counts in the multiplier's equation.
         unspent: (n, gdim − 1) slip that a time step has left to the next (m), `step_level.py`; zero in statics.
     """
 
@@ -84,6 +85,7 @@ class Kinematics(ABC):
         self.touch = max(1e-12 * target.size, self.round_off)
         self._u = u
         self.offset: Array = np.zeros(points.size)
+        self.share: Array = np.ones(points.size)
         self.unspent: Array = np.zeros((points.size, points.facets.X.shape[2] - 1))
         self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros((points.size, points.η.shape[1])))
         self.ρ: Array = np.zeros((points.size, points.facets.X.shape[2]))
@@ -109,6 +111,10 @@ class Kinematics(ABC):
     @abstractmethod
     def evaluate(self) -> None:
         """Bring x, at and s up to date with the displacements."""
+
+    @abstractmethod
+    def count(self) -> None:
+        """Bring the shares up to date with what points face."""
 
     def follow(self) -> bool:
         """At the start of an iteration: choose anew what is held in between; whether anything changed."""
@@ -174,7 +180,7 @@ class Kinematics(ABC):
         they faced when the last step had converged is found anew, with the nodes of contactor (nf, nodes, gdim) and target
         (nodes, gdim) where they were then (m): history belongs to the bodies, not to the points."""
         moved = np.flatnonzero((self.points.η[origin] != points.η).any(axis=1))
-        self.points = points
+        self.points, self.share = points, self.share[origin]
         self.offset, self.unspent = self.offset[origin], self.unspent[origin]
         point, ρ = TargetPoint(self.history.facet[origin], self.history.η[origin]), self.ρ[origin]
         if self.friction and len(moved):
@@ -246,6 +252,10 @@ class PositionLevel(Kinematics):
     #: `level` (m), such a node lies. A multiplier goes on beside a target's corner, and must not press on the side there
     turning_nodes: Index = np.zeros(0, dtype=np.int64)
     level = 0.0
+    #: share of points that face nothing
+    beyond = 1.0
+    # (n,) derivative of the share with respect to the cosine between ray and target's normal
+    _slope: Array = np.zeros(0)
 
     def evaluate(self) -> None:
         self.target.refresh()
@@ -256,6 +266,23 @@ class PositionLevel(Kinematics):
             self._leave_sides(self.at)
         self.may_close = self.at.facing & self.target.admits(now.facet, self.at.point)
         self.s = self.slip() if self.friction else None
+        self.count()
+
+    def count(self) -> None:
+        if self.beyond < 1.0:
+            assert isinstance(self.at, RayHit)
+            self.share, self._slope = self.at.frontal(self.beyond)
+
+    @property
+    def slanted(self) -> Bool:
+        """(n,) points whose share changes with what they face."""
+        return np.asarray(self._slope > 0.0)
+
+    def _vary_share(self, at: RayHit, act: Index, δ: Variation, slots: Slots) -> Array:
+        """(n, z) variation of the share, over it, of points `act` that face `at`."""
+        assert isinstance(self.target, DeformableTarget)
+        δcosine = vary_cosine(at, self.target.bends(at.point), δ, slots)
+        return δcosine * (self._slope[act] / self.share[act])[:, None]
 
     def _leave_sides(self, at: RayHit) -> None:
         """Points that see the target's side from beside its face do not face it."""
@@ -333,6 +360,10 @@ class PositionLevel(Kinematics):
             δ.s = δ.s - vary_carried(self._frame[act], self.ρ[act], slots, "w_p")
         δt, δr = law.linearise(state, Λ, at, None if self.s is None else self.s[act], δ)
         moving = state.t[:, None, :, None] * δ.η[:, :, None, :]
+        if self.beyond < 1.0 and len(k := np.flatnonzero(self.slanted[act])):
+            assert isinstance(at, RayHit)
+            part = Variation(δ.η[k], δ.g[k], δ.ν[k], δ.Λ, None)
+            δr[k] += state.r[k][:, :, None] * self._vary_share(at.take(k), act[k], part, slots)[:, None]
         return np.concatenate([np.stack([-δt, δt], axis=1), moving], axis=1), δr
 
     def rows(self, act: Index) -> Array:

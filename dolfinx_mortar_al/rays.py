@@ -67,10 +67,22 @@ class RayHit(Projection):
 
     tangents: Array
 
+    @property
+    def cosine(self) -> Array:
+        """(n,) of the angle between each ray and the target's normal, either way."""
+        m = surface_normal(self.a)
+        return np.asarray(np.abs(dot(m, self.ν)) / np.sqrt(dot(m, m)))
+
     def opposed(self) -> NDArray[np.bool_]:
         """(n,) where the target's normal opposes the contactor's by an angle that is no side's (OPPOSED)."""
-        m = surface_normal(self.a)
-        return np.asarray(np.abs(dot(m, self.ν)) >= OPPOSED * np.sqrt(dot(m, m)))
+        return np.asarray(self.cosine >= OPPOSED)
+
+    def frontal(self, least: float) -> tuple[Array, Array]:
+        """(n,) one where the target's normal opposes the contactor's by no side's angle, down to `least` where it hardly
+        faces the ray and where nothing does; and the derivative with respect to the cosine."""
+        slope = 1.0 / (OPPOSED - FACING)
+        share = np.where(self.facing, slope * (self.cosine - FACING), 0.0)
+        return np.clip(share, least, 1.0), np.where((share > least) & (share < 1.0), slope, 0.0)
 
 
 def cast(

@@ -20,7 +20,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.clipping import areas, clip, triangulate
+from dolfinx_mortar_al.clipping import areas, clip, contains, triangulate
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.moving_cuts import MovingCuts
 from dolfinx_mortar_al.projection import dot, inverse
@@ -29,7 +29,7 @@ from dolfinx_mortar_al.reductions import max_over
 from dolfinx_mortar_al.search import where
 from dolfinx_mortar_al.surface import Facets, GatheredFacets, ShapeFunctions, surface_normal
 
-__all__ = ["UNCOVERED", "CutAtEnds", "Segments", "cuts_on_curve", "images_on_curve", "segments_of"]
+__all__ = ["UNCOVERED", "CutAtEnds", "Segments", "cuts_on_curve", "ends_of", "images_on_curve", "segments_of"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -49,6 +49,8 @@ NEWTON = 8  # iterations for the ray of a curved facet through a point, or a poi
 UNCOVERED = 1e-3
 SLIVER = 1e-13  # share of a facet below which a polygon is round-off
 HARDLY = 1e-6  # share of a facet that counts as nothing: seen at all, or seen twice
+# degree of the points where a facet in space faces nothing: eight across, as their weight matters and their places hardly do
+LEFT_OVER = 15
 
 
 class Segments(ABC):
@@ -61,6 +63,9 @@ class Segments(ABC):
         thickness: out of the plane (m).
         comm: of the ranks that have the contactor: their points follow together, as on one rank.
     """
+
+    #: motion (in facets) up to which points stay, its growth, and the share of the motion before above which it grows
+    still, growth, settles = STILL, GROWTH, 0.0
 
     def __init__(
         self, facets: Facets, target: GatheredFacets, degree: int, thickness: float, comm: MPI.Intracomm
@@ -75,18 +80,25 @@ class Segments(ABC):
         #: nodes of the latter kind
         self.turning_nodes = np.flatnonzero(self._sharp & ~target.end_nodes)
         self._x1, self._x2 = facets.X, target.X
+        #: (nf,) facets in space that have points where they see nothing, too, when the target covers less than half of them:
+        #: at the contactor's end, where all facets around a node may be such
+        self.fills: Bool = np.zeros(facets.size, dtype=bool)
         self.begin()
         self.forget()
 
     def begin(self) -> None:
         """A new solve: points follow closely at first, less and less as they are moved again."""
-        self._still: float = STILL
+        self._still, self._last, self.rest = self.still, np.inf, False
 
     def _follows(self, motion: float) -> bool:
         """Whether points follow cuts that have moved so far (in facets)."""
+        #: whether they stay though they have moved
+        self.rest = self.still < motion <= self._still
         if motion <= self._still:
             return False
-        self._still *= GROWTH
+        if motion > self.settles * self._last:
+            self._still *= self.growth
+        self._last = motion
         return True
 
     def forget(self) -> None:
@@ -137,8 +149,17 @@ class Segments(ABC):
 
 def segments_of(facets: Facets, target: GatheredFacets, degree: int, thickness: float, comm: MPI.Intracomm) -> Segments:
     """Segments for a contactor of either dimension, as :class:`Segments`."""
-    kind = _Intervals if facets.shape.dim == 1 else _Polygons
-    return kind(facets, target, degree, thickness, comm)
+    if facets.shape.dim == 1:
+        return _Intervals(facets, target, degree, thickness, comm)
+    whole = IntegrationPoints.gauss(facets, np.full(facets.size, degree), thickness)
+    return _Polygons(target, whole, degree, comm)
+
+
+def ends_of(target: GatheredFacets, gauss: IntegrationPoints, degree: int, comm: MPI.Intracomm) -> Segments:
+    """The points `gauss` of whole facets, and others of the quadrature's `degree` where the target ends, for a contactor of
+    either dimension; `comm` as in :class:`Segments`."""
+    kind = CutAtEnds if gauss.facets.shape.dim == 1 else _PolygonsAtEnds
+    return kind(target, gauss, degree, comm)
 
 
 def _ball(facets: Array) -> tuple[Array, Array]:
@@ -172,11 +193,14 @@ class _Intervals(Segments):
         sides = self._target.facets[:, np.concatenate(self._target.shape.sides)]
         self._vertices, first = np.unique(sides, return_index=True)
         self._facet_at = first // sides.shape[1]
-        return target[self._vertices], np.zeros(len(self._vertices))
+        # the target's own ends count however far ahead they are: what faces nothing there hardly counts
+        return target[self._vertices], np.where(self._sharp[self._vertices], np.inf, 0.0)
 
     def _images(self, facet: Index, end: Index, contactor: Array, target: Array) -> tuple[Array, Bool]:
-        η, d = images_on_curve(self._facets.shape, contactor[facet], target[self._vertices[end]])
-        return η, (np.abs(d) <= self._reach) & (np.abs(η - 0.5) <= 0.5)
+        node = self._vertices[end]
+        η, d = images_on_curve(self._facets.shape, contactor[facet], target[node])
+        d *= self._facets.orientation[facet]
+        return η, (d >= -self._reach) & ((d <= self._reach) | self._sharp[node]) & (np.abs(η - 0.5) <= 0.5)
 
     def _points(self, facet: Index, end: Index, images: Array) -> IntegrationPoints:
         facet, first, last, *cuts = cuts_on_curve(facet, images, self._facets.size)
@@ -207,6 +231,8 @@ class CutAtEnds(_Intervals):
         comm: of the ranks that have the contactor.
     """
 
+    still, growth, settles = STILL_AT_ENDS, GROWTH_AT_ENDS, SETTLES
+
     def __init__(self, target: GatheredFacets, gauss: IntegrationPoints, degree: int, comm: MPI.Intracomm) -> None:
         self._gauss = gauss
         self._first = np.ones(gauss.facets.size)
@@ -218,17 +244,6 @@ class CutAtEnds(_Intervals):
         sharp = self._sharp[self._vertices]
         self._vertices, self._facet_at = self._vertices[sharp], self._facet_at[sharp]
         return every[0][sharp], every[1][sharp]
-
-    def begin(self) -> None:
-        self._still, self._last = STILL_AT_ENDS, np.inf
-
-    def _follows(self, motion: float) -> bool:
-        if motion <= self._still:
-            return False
-        if motion > SETTLES * self._last:
-            self._still *= GROWTH_AT_ENDS
-        self._last = motion
-        return True
 
     def _points(self, facet: Index, end: Index, images: Array) -> IntegrationPoints:
         amid = np.abs(images - 0.5) < 0.5 - self._first[facet]
@@ -285,13 +300,17 @@ class _Polygons(Segments):
     """Polygons: target facets as seen along each contactor facet's mean normal, in the coordinates of its mean tangents.
 
     On flat triangles and parallelograms these are the reference coordinates; on other facets they are off by a share of
-    their size that shrinks with it, and so are the cuts (``docs/integration.md``). What the target leaves over of a facet it
-    covers in part is left out: the multiplier has nothing to enforce there.
+    their size that shrinks with it, and so are the cuts (``docs/integration.md``).
+
+    Args:
+        target: the target, whole.
+        whole: points of facets that see no target, or layer behind layer.
+        degree: of the quadrature on each triangle.
+        comm: of the ranks that have the contactor.
     """
 
-    def __init__(
-        self, facets: Facets, target: GatheredFacets, degree: int, thickness: float, comm: MPI.Intracomm
-    ) -> None:
+    def __init__(self, target: GatheredFacets, whole: IntegrationPoints, degree: int, comm: MPI.Intracomm) -> None:
+        facets, self._whole = whole.facets, whole
         own, other = facets.shape.corners, target.shape.corners
         self._loop, self._other_loop = _loop(own), _loop(other)
         # the corners' own shape functions at the facet's middle
@@ -299,7 +318,7 @@ class _Polygons(Segments):
         self._dN = self._linear.tabulate(own.mean(axis=0)[None], 1)[1][0]
         self._triangle = ShapeFunctions(basix.CellType.triangle, 1)
         self._area = 1.0 if len(own) == 4 else 0.5
-        super().__init__(facets, target, degree, thickness, comm)
+        super().__init__(facets, target, degree, whole.thickness, comm)
 
     def _ends(self, target: Array) -> tuple[Array, Array]:
         return _ball(target[self._target.facets])
@@ -336,14 +355,30 @@ class _Polygons(Segments):
         area = areas(polygons, count) / self._area
         real = (count > 2) & (area > SLIVER)
         covered = np.bincount(facet[real], area[real], minlength=self._facets.size)
-        # where the target is seen twice, layer behind layer, or all but not at all: plain Gauss points
+        # where the target is seen twice, layer behind layer, or all but not at all
         plain = (covered > 1.0 + HARDLY) | (covered < HARDLY)
         real &= ~plain[facet]
         row, triangles = triangulate(polygons[real], count[real])
-        parts = [self._on_triangles(facet[real][row], triangles), self._on_whole(np.flatnonzero(plain))]
-        owner, η, weight = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-        order = np.argsort(owner, kind="stable")
-        return IntegrationPoints(self._facets, owner[order], η[order], weight[order], self._thickness)
+        seen = self._on_triangles(facet[real][row], triangles)
+        rest = self._left_over(facet[real], polygons[real], count[real], np.where(plain, 1.0, covered))
+        owner: Index = np.concatenate([seen[0], rest[0]])
+        η, weight = (np.concatenate([seen[k], rest[k]]) for k in (1, 2))
+        parts = IntegrationPoints(self._facets, owner, η, weight, self._thickness)
+        return self._whole.spliced(parts, plain)
+
+    def _left_over(self, facet: Index, polygons: Array, count: Index, covered: Array) -> tuple[Index, Array, Array]:
+        """Facet, η and weight of points where facets see nothing, of which the share `covered` (nf,) lies in `polygons` of
+        facets (m,): they hold multipliers of which the target sees next to nothing."""
+        η, weight = self._facets.shape.quadrature(LEFT_OVER)
+        hardly = self.fills & (covered < 0.5)
+        partly = np.flatnonzero(hardly)
+        free = np.ones((self._facets.size, len(weight)), dtype=bool)
+        some = np.flatnonzero(hardly[facet])
+        np.logical_and.at(free, facet[some], ~contains(polygons[some], count[some], η))
+        row, point = np.nonzero(free[partly])
+        total = np.bincount(row, weight[point], minlength=len(partly))
+        share = (1.0 - covered[partly]) * self._area / np.maximum(total, SLIVER)
+        return partly[row], η[point], weight[point] * share[row]
 
     def _to_reference(self, window: Array, polygons: Array) -> Array:
         """Reference coordinates of vertices (m, v, 2) given in those of the mean tangents, where the facets' corners in order
@@ -371,10 +406,32 @@ class _Polygons(Segments):
         jacobian = side[:, 0, 0] * side[:, 1, 1] - side[:, 0, 1] * side[:, 1, 0]
         return np.repeat(facet, len(weight)), η.reshape(-1, 2), (jacobian[:, None] * weight).ravel()
 
-    def _on_whole(self, facet: Index) -> tuple[Index, Array, Array]:
-        """The same of the Gauss points of whole facets."""
-        η, weight = self._facets.shape.quadrature(self._degree)
-        return np.repeat(facet, len(weight)), np.tile(η, (len(facet), 1)), np.tile(weight, len(facet))
+
+class _PolygonsAtEnds(_Polygons):
+    """Gauss points of whole facets, and polygons of those that see a facet of the target at which it ends or shows its side.
+    The arguments are those of :class:`_Polygons`."""
+
+    still, growth, settles = STILL_AT_ENDS, GROWTH_AT_ENDS, SETTLES
+
+    def __init__(self, target: GatheredFacets, gauss: IntegrationPoints, degree: int, comm: MPI.Intracomm) -> None:
+        super().__init__(target, gauss, degree, comm)
+        self._is_end = np.asarray(self._sharp[target.facets].any(axis=1))
+
+    def _at_end(self, facet: Index, end: Index) -> Bool:
+        """(m,) whether the facet of each couple is in one with an end of the target."""
+        return np.asarray(np.bincount(facet[self._is_end[end]], minlength=self._facets.size)[facet] > 0)
+
+    def _find_couples(self, contactor: Array, target: Array) -> bool:
+        due = super()._find_couples(contactor, target)
+        if due and self._couples is not None:
+            facet, end = self._couples
+            near = self._at_end(facet, end)
+            self._couples = facet[near], end[near]
+        return due
+
+    def _points(self, facet: Index, end: Index, images: Array) -> IntegrationPoints:
+        cut = self._at_end(facet, end)
+        return super()._points(facet[cut], end[cut], images[cut]) if cut.any() else self._whole
 
 
 def _loop(corners: Array) -> Index:

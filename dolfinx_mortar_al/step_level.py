@@ -153,6 +153,9 @@ class StepLevel(Kinematics):
             self._now, self._place = self.contactor(), self.target.place
             self.x, self.end = self._now.x, self.target.project(self._now)
 
+    def count(self) -> None:
+        """All points count in full: the multiplier's space is one and the same in all steps."""
+
     def follow(self) -> bool:
         """Choose points and directions again, from the middle of the step as the iteration has it now; whether they changed.
         The flight knows nothing of an impact; a few iterations do, and then the choice is held."""

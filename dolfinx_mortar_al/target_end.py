@@ -52,6 +52,7 @@ class TargetEnd:
             assert isinstance(k.at, RayHit)
             self._beyond = self._target.extend(k.at, k.contactor(), self._beyond)
             k.may_close[self._beyond] = True
+            k.count()
 
     def let_go(self) -> bool:
         """Points beyond the end are no longer held; whether there were any on this rank."""

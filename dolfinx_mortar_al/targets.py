@@ -241,6 +241,11 @@ class DeformableTarget(Target):
     def derivatives(self, point: TargetPoint) -> Array:
         return self.surface.shape.tabulate(point.η, 1)[1]
 
+    def bends(self, point: TargetPoint) -> Array:
+        """(n, dim, dim, gdim) 𝐚_α,β at material points now."""
+        second = self.surface.shape.tabulate(point.η, 2)[2]
+        return np.einsum("nabk,nki->nabi", second, self._nodes[self.facets[point.facet]])
+
     def positions(self, point: TargetPoint, weights: Array, place: Place | None = None) -> Array:
         nodes = self._nodes if place is None else place
         assert isinstance(nodes, np.ndarray)

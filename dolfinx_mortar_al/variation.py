@@ -16,7 +16,7 @@ from dolfinx_mortar_al.projection import Projection, dual
 from dolfinx_mortar_al.rays import RayHit
 from dolfinx_mortar_al.surface import surface_normal
 
-__all__ = ["Slots", "Variation", "scaled_normal", "vary", "vary_gap"]
+__all__ = ["Slots", "Variation", "scaled_normal", "vary", "vary_cosine", "vary_gap"]
 
 Array = NDArray[np.float64]
 
@@ -99,6 +99,21 @@ def scaled_normal(at: Projection) -> Array:
         return at.ν
     m = surface_normal(at.a)
     return np.asarray(m / np.where(at.facing, np.einsum("ni,ni->n", m, at.ν), 1.0)[:, None])
+
+
+def vary_cosine(at: RayHit, bends: Array, δ: Variation, slots: Slots) -> Array:
+    """(n, z) variation of :attr:`RayHit.cosine`, |𝐦·ν|/|𝐦|; `bends` (n, dim, dim, gdim) are the target's 𝐚_α,β."""
+    δa = slots.derivatives("w") + np.einsum("nabi,nbz->naiz", bends, δ.η)
+    if slots.dim == 1:
+        δm = np.stack([δa[:, 0, 1], -δa[:, 0, 0]], axis=1)
+    else:
+        δm = np.cross(δa[:, 0], at.a[:, 1, :, None], axis=1) + np.cross(at.a[:, 0, :, None], δa[:, 1], axis=1)
+    m = surface_normal(at.a)
+    size = np.linalg.norm(m, axis=1)[:, None]
+    m /= size
+    along = np.einsum("ni,ni->n", m, at.ν)[:, None]
+    δalong = (np.einsum("ni,niz->nz", at.ν - along * m, δm)) / size + np.einsum("ni,niz->nz", m, δ.ν)
+    return np.asarray(np.sign(along) * δalong)
 
 
 def _vary_ray(at: RayHit, slots: Slots) -> Variation:

@@ -46,7 +46,7 @@ def march(scene, **options):
     return model, np.array(forces), rejected
 
 
-PRESS = Stage("press", 2, (0.0, -DEPTH))
+PRESS, PRESS_IN_SPACE = Stage("press", 2, (0.0, -DEPTH)), Stage("press", 2, (0.0, -DEPTH, 0.0))
 AWAY, BACK = Stage("away", 8, (0.8, -DEPTH)), Stage("back", 8, (0.0, -DEPTH))
 
 
@@ -63,6 +63,73 @@ def test_a_facet_that_its_target_covers_in_part(integration, sides):
         assert rejected == 0
         forces.append(force[-1, 1])
     assert np.allclose(forces[:3], forces[3], rtol=1e-2)
+
+
+def in_space(stages, *, swap, sides, friction=0.0, order=1, cells=(4, 5), simplices=False):
+    """A block of half a metre, `cells[0]` facets across, amid a slab of a metre and a half."""
+    touched = ("bottom", "left", "right", "front", "back") if sides else ("bottom",)
+    material = {"E": E, "nu": 0.3, "material": "neo_hookean"}
+    upper = Body(
+        "block", (0.5, 0.4, 0.5), (cells[0], 3, cells[0]), **material, contact=touched, held=("top",), centre=0.03
+    )
+    lower = Body("block", (1.5, 0.5, 1.5), (cells[1], 2, cells[1]), **material, contact=("top",), held=("bottom",))
+    return Scene(0, 0, "blocks", 3, order, 1, simplices, lower, upper, 0.0, friction, swap, tuple(stages))
+
+
+@pytest.mark.one_rank
+@pytest.mark.parametrize("simplices, rtol", [(False, 1.5e-2), (True, 2e-2)], ids=["hexahedra", "tetrahedra"])
+def test_facets_that_their_target_covers_in_part_in_space(simplices, rtol):
+    """Slabs of 5 and 7 facets across under a block that covers a part of each: the force is that with the block as
+    contactor, but for what the meshes differ by. With Gauss points of whole facets it was half of it."""
+    forces = []
+    for swap, cells in ((False, 7), (True, 5), (True, 7)):
+        scene = in_space([PRESS_IN_SPACE], swap=swap, sides=False, order=2, cells=(4, cells), simplices=simplices)
+        _, force, rejected = march(scene)
+        assert rejected == 0
+        forces.append(force[-1, 1])
+    assert np.allclose(forces[1:], forces[0], rtol=rtol)
+
+
+@pytest.mark.one_rank
+@pytest.mark.parametrize("integration", ["gauss", "segments"])
+@pytest.mark.parametrize("sides", [False, True], ids=["bottom", "sides too"])
+def test_dragged_over_facets_of_its_own_size(sides, integration):
+    """A block in space that passes over two facets of the slab in ten increments, which follow its edges: at most two
+    iterations each and no rejected trial; forces with Gauss points and segments, with the sides and without, agree."""
+    scene = in_space([PRESS_IN_SPACE, Stage("drag", 10, (0.6, -DEPTH, 0.0))], swap=True, sides=sides, friction=0.3)
+    model = Model(scene, integration=integration)
+    iterations = []
+    for k, stage in enumerate(scene.stages):
+        for step in quasistatic.march(model.problem, model.set_load(k), to=1.0, increments=stage.increments, start=0.0):
+            assert step.rejected == 0
+            iterations.append(step.iterations)
+    assert np.mean(iterations) <= 2.0
+    assert np.allclose(model.pair.force()[:2], [0.7904, -2.7707], rtol=1e-3)  # N
+
+
+@pytest.mark.one_rank
+@pytest.mark.parametrize("friction", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("facets", [14, 15, 28])
+def test_a_rounded_corner_amid_a_facet(facets, friction):
+    """A stiff indenter with rounded corners in a soft block, whose facets, longer than the rounding, are the contactor's.
+    Points beside a corner see it at a slant or pass it: where they counted in full or hardly, three of the nine cycled."""
+    indenter = Body(
+        "block",
+        (0.8, 0.6),
+        (20, 15),
+        E,
+        0.3,
+        "neo_hookean",
+        ("bottom", "left", "right"),
+        ("top",),
+        profile=("round", 0.06),
+    )
+    block = Body("block", (2.8, 0.8), (facets, 4), E / 100, 0.4, "neo_hookean", ("top",), ("bottom",), centre=0.13)
+    stages = (Stage("press", 6, (0.0, -0.12)),)
+    scene = Scene(0, 0, "punch", 2, 2, 2, True, block, indenter, 0.0, friction, True, stages)
+    _, forces, rejected = march(scene)
+    assert rejected == 0
+    assert np.isclose(forces[-1, 1], 2.55, rtol=0.04)  # N; 2.63 to 2.73 with the indenter as contactor
 
 
 @pytest.mark.one_rank

@@ -142,6 +142,19 @@ def test_surfaces_stay_flat_under_pressures_above_the_modulus(facets):
     assert max(pair.comm.allgather(float(np.abs(pressures / 3.0 - 1.0).max(initial=0.0)))) < 0.02
 
 
+def test_the_default_ε_passed_on_changes_nothing():
+    """A user's ε grows with pressures near the moduli as the default does."""
+    found, options = [], {}
+    for _ in range(2):
+        problem, load = pressed_blocks((20, 23), friction=0.3, **options)
+        pair = problem.pairs[0]
+        options = {"epsilon_normal": pair.epsilon.normal, "epsilon_tangential": pair.epsilon.tangential}
+        steps = list(quasistatic.march(problem, load, to=3.0, increments=8))
+        found.append((pair.force(), [step.iterations for step in steps]))
+    assert found[0][1] == found[1][1]
+    assert np.allclose(found[0][0], found[1][0], rtol=1e-9)
+
+
 @pytest.mark.parametrize("integration", ["gauss", "segments"])
 def test_pressures_that_waver_are_said(integration):
     """p = 3 E between 18 and 43 facets: pressures at the points are off by a tenth and more, as ε g wavers, which is said.

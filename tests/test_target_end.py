@@ -153,7 +153,7 @@ def test_a_large_increment_keeps_the_end(kind, simplices, cells, swap, increment
     problem, _, rejected = squeezed_shells(kind, simplices, cells, swap, increments)
     known = pressure_error(squeezed_shells(kind, simplices, cells, swap)[0])
     assert rejected == 0
-    assert pressure_error(problem) == pytest.approx(known, rel=1e-4)  # both within 1e-9 of equilibrium
+    assert pressure_error(problem) == pytest.approx(known, abs=1e-6)  # points follow the end to 3e-7 of a facet
     assert known[0] < 0.05  # the misfit of coarse curved surfaces; of the third one .14 % face nothing
 
 
