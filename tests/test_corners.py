@@ -107,29 +107,64 @@ def test_dragged_over_facets_of_its_own_size(sides, integration):
     assert np.allclose(model.pair.force()[:2], [0.7904, -2.7707], rtol=1e-3)  # N
 
 
+def rounded_in_soft(stages, *, facets, friction, dim=2, order=2, cells=(20, 15), radius=0.06):
+    """A stiff indenter with rounded corners over a soft block; the block's facets are the contactor's."""
+    sides, deep = ("bottom", "left", "right"), dim - 2
+    round_ = {"material": "neo_hookean", "contact": sides, "held": ("top",), "profile": ("round", radius)}
+    flat = {"material": "neo_hookean", "contact": ("top",), "held": ("bottom",), "centre": 0.13}
+    indenter = Body("block", (0.8, 0.6, *[0.8] * deep), (*cells, *[3] * deep), E, 0.3, **round_)
+    block = Body("block", (2.8, 0.8, *[1.2] * deep), (facets, 4, *[4] * deep), E / 100, 0.4, **flat)
+    return Scene(0, 0, "punch", dim, order, order, True, block, indenter, 0.0, friction, True, tuple(stages))
+
+
 @pytest.mark.one_rank
 @pytest.mark.parametrize("friction", [0.0, 0.1, 0.3])
 @pytest.mark.parametrize("facets", [14, 15, 28])
 def test_a_rounded_corner_amid_a_facet(facets, friction):
-    """A stiff indenter with rounded corners in a soft block, whose facets, longer than the rounding, are the contactor's.
-    Points beside a corner see it at a slant or pass it: where they counted in full or hardly, three of the nine cycled."""
-    indenter = Body(
-        "block",
-        (0.8, 0.6),
-        (20, 15),
-        E,
-        0.3,
-        "neo_hookean",
-        ("bottom", "left", "right"),
-        ("top",),
-        profile=("round", 0.06),
-    )
-    block = Body("block", (2.8, 0.8), (facets, 4), E / 100, 0.4, "neo_hookean", ("top",), ("bottom",), centre=0.13)
-    stages = (Stage("press", 6, (0.0, -0.12)),)
-    scene = Scene(0, 0, "punch", 2, 2, 2, True, block, indenter, 0.0, friction, True, stages)
+    """Points beside a corner see it at a slant or pass it: where they counted in full or hardly, three of the nine cycled."""
+    scene = rounded_in_soft([Stage("press", 6, (0.0, -0.12))], facets=facets, friction=friction)
     _, forces, rejected = march(scene)
     assert rejected == 0
     assert np.isclose(forces[-1, 1], 2.55, rtol=0.04)  # N; 2.63 to 2.73 with the indenter as contactor
+
+
+@pytest.mark.one_rank
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("dim, order", [(2, 1), (2, 2), (3, 1), (3, 2)])
+def test_tangent_where_points_see_the_target_at_a_slant(dim, order, friction):
+    """What they count changes with the angle between ray and target's normal; points stay where they are."""
+    cells = (20, 15) if dim == 2 else (16, 4)
+    scene = rounded_in_soft(
+        [], facets=60 if dim == 2 else 28, friction=friction, dim=dim, order=order, cells=cells, radius=0.3
+    )
+    model = Model(scene)
+    problem, pair, V = model.problem, model.pair, model.u.function_space
+    X, upper = V.tabulate_dof_coordinates()[:, :dim], np.unique(V.dofmap.list[model.cell_tags.find(UPPER)])
+    free = problem.bodies.bodies[0].prescribed().x.array.reshape(-1, dim) == 0.0
+    base = rough(5e-3, 2)(X) * free
+    turn = np.array(
+        [[np.cos(0.6), -np.sin(0.6)], [np.sin(0.6), np.cos(0.6)]]
+    )  # its rounding is at 34 to 79° to the block
+    base[upper, :2] += X[upper, :2] @ (turn.T - np.eye(2)) + np.array([0.0, 0.17])
+    model._driven.x.array[:] = base.ravel()
+    pair.holds_points = True
+    direction = [lambda X: rough(1.0, 4)(X) * free, rough(1e2, 5)]
+
+    def at(h):
+        def multiplier(X):
+            return 20 * rough(1, 3)(X) + h * direction[1](X)
+
+        set_field(problem, lambda X: base + h * direction[0](X), multiplier, clamped=False)
+        problem.pack(problem.x)
+        problem.assemble_residual(problem.x, problem.residual)
+        return [part.array.copy() for part in problem.residual.getNestSubVecs()]
+
+    at(0.0)
+    pair.active.closed = pair.kinematics.may_close & (np.arange(pair.integration.size) % 2 > 0)
+    at(0.0)
+    slanted = pair.kinematics.slanted
+    assert slanted.any() and (slanted & ~pair.active.closed).any()
+    assert_tangent(problem, at, lambda: set_field(problem, *direction, clamped=False))
 
 
 @pytest.mark.one_rank

@@ -161,7 +161,9 @@ def test_units_do_not_matter(dim):
     millimetres, Q = beams(friction=0.3, unit=1e3, young=E * 1e-6, mesh=mesh)
     same = solve(millimetres, Q, 8.0, increments)
     assert all(abs(a.iterations - b.iterations) <= 1 for a, b in zip(steps, same, strict=True))
-    at_end = 1e-10 if dim == 2 else 1e-9  # in space points follow the target's end to 3e-7 of a facet, outside the tangent
+    at_end = (
+        1e-10 if dim == 2 else 1e-9
+    )  # in space points follow the target's end to 3e-7 of a facet, outside the tangent
     assert np.allclose(tip(millimetres, (1e3, 25.0)) / 1e3, tip(metres), rtol=1e-8, atol=at_end)
     force = metres.pairs[0].force()
     assert np.allclose(millimetres.pairs[0].force(), force, rtol=1e3 * at_end, atol=1e-9 * np.linalg.norm(force))
