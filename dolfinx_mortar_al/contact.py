@@ -76,13 +76,14 @@ class Contact:
         friction: Coulomb's coefficient μ ≥ 0; the number 0 builds the problem with a scalar multiplier and no slip history.
             A UFL Constant may be changed between steps.
         epsilon_normal, epsilon_tangential: augmentation parameters ε_N, ε_T (Pa/m). By default both come from the bulk
-            stiffness at the surfaces; the answer depends on them only where a facet is partly closed.
+            stiffness at the surfaces; the answer depends on them only where a facet is partly closed. Pressures near the
+            bodies' moduli add to either.
         multiplier_order: of the multiplier's Lagrange element, 1 or, as in the paper, the displacement's.
         projection: "rays" along the contactor's normals, or "closest", the paper's closest points. A rigid obstacle always
             has the closest points.
         integration: "segments", between the ends of the target's facets as the contactor's rays see them, which follow the
-            bodies, or "gauss", the default, the same points on each facet; in plane statics on each part of one inside
-            which the target ends. In space segments are for targets that end inside facets of the contactor.
+            bodies, or "gauss", the default, the same points on each facet, in statics as far as the target goes: where it
+            ends inside a facet, points follow its end.
         quadrature_degree: of the Gauss points on each facet, at least twice the multiplier's order; default 4 × the
             displacement's order (on a curved membrane in the plane 6 × order + 1), more where the target's facets are
             finer, and in space on surfaces of few facets. With segments of the points on each segment; default exact on

@@ -6,7 +6,8 @@ polygon, clipped in the contactor facet's own reference coordinates and cut into
 The points follow the bodies from one evaluation to the next; they stay where they are while the ends of the target's facets
 have moved by less than STILL. A cut displaced by δ changes the integral of a continuous integrand by δ²/2 times the jump of
 its slope: Newton's tangent may leave the motion of the points out, and a small δ does not matter (``docs/integration.md``).
-Where the target ends the integrand itself jumps, and the tangent has that motion (`moving_cuts.py`).
+Where the target ends the integrand itself jumps: there Gauss points of whole facets give way to points that follow the end,
+too, and in the plane the tangent has that motion (`moving_cuts.py`).
 """
 
 from __future__ import annotations
