@@ -132,8 +132,12 @@ class Segments(ABC):
         self._x1, self._x2 = contactor.copy(), target.copy()
         centre, radius = _ball(contactor)
         other, size = self._ends(target)
-        self._couples = _near_balls(centre, radius + self._reach + margin, other, size)
+        self._couples = self._near_ends((centre, radius + self._reach + margin), (other, size))
         return True
+
+    def _near_ends(self, facets: tuple[Array, Array], ends: tuple[Array, Array]) -> tuple[Index, Index]:
+        """Couples of the contactor's facets and the target's ends that meet, as balls: centres (n, gdim), radii (n,) in m."""
+        return _near_balls(*facets, *ends)
 
     @abstractmethod
     def _ends(self, target: Array) -> tuple[Array, Array]:
@@ -422,13 +426,11 @@ class _PolygonsAtEnds(_Polygons):
         """(m,) whether the facet of each couple is in one with an end of the target."""
         return np.asarray(np.bincount(facet[self._is_end[end]], minlength=self._facets.size)[facet] > 0)
 
-    def _find_couples(self, contactor: Array, target: Array) -> bool:
-        due = super()._find_couples(contactor, target)
-        if due and self._couples is not None:
-            facet, end = self._couples
-            near = self._at_end(facet, end)
-            self._couples = facet[near], end[near]
-        return due
+    def _near_ends(self, facets: tuple[Array, Array], ends: tuple[Array, Array]) -> tuple[Index, Index]:
+        x, radius = facets
+        cut = np.unique(_near_balls(x, radius, *(a[self._is_end] for a in ends))[0])
+        facet, end = _near_balls(x[cut], radius[cut], *ends)
+        return cut[facet], end
 
     def _points(self, facet: Index, end: Index, images: Array) -> IntegrationPoints:
         cut = self._at_end(facet, end)
