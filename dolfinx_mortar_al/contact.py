@@ -52,6 +52,7 @@ Bool = NDArray[np.bool_]
 Decisions = tuple[IntegrationPoints, Decided]
 
 SOFTER = 0.125  # ε over what the bulk yields to pressure at the surface (docs/newton.md)
+AGAIN = 2  # times that points follow the target's end when a state has converged, where they chattered before
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
 RIPPLING = 2 * np.pi  # slope of a wave as long as a facet, over its amplitude in facets
 OWN = 0.5  # of the bulk's stiffness holds such waves, whatever contact does (docs/newton.md)
@@ -224,6 +225,7 @@ class ContactPair(PairFindings):
         self.target_end = self._make_end()
         #: whether points stay where they are, whatever moves
         self.holds_points = False
+        self._again = AGAIN
         self.segments = self._make_segments()
         if self.segments is not None:  # in statics they end with the target
             self.segments.fills = np.asarray(self._at_end.any(axis=1))
@@ -548,7 +550,18 @@ class ContactPair(PairFindings):
         self.active.begin(self._converged.closed[self.integration.facet])
         if self.target_end is not None:
             self._hold_to_target(self.target_end)
+        self._again = AGAIN
         self.begin_again()
+
+    def follow_again(self) -> bool:
+        """Let points that rest though the target's end has moved follow it once more, AGAIN times in a solve; whether they do
+        (collective)."""
+        if self.segments is None or not self.segments.rest or not self.segments.settles or self._again == 0:
+            return False
+        self._again -= 1
+        self.begin_again()
+        self.evaluate()
+        return True
 
     def begin_again(self) -> None:
         """A solve goes on elsewhere: segments follow closely, as at its start."""

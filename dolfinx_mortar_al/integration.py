@@ -33,6 +33,7 @@ PER_TARGET_FACET = 2.0  # points along each target facet's length: none is passe
 ACROSS = 32
 UNFELT = 0.02  # of a facet: overlaps that are said (`unfelt.py`)
 HIGHEST = 30
+APART = 1e-12  # in η: points that are no farther apart are the same
 ROUND_OFF = 1e-6  # of a number of points: facets that are alike but for it get as many
 
 
@@ -166,11 +167,26 @@ class IntegrationPoints:
         """Where each facet's points begin."""
         return np.flatnonzero(np.r_[True, np.diff(self.facet) > 0])
 
-    def nearest(self, facet: Index, η: Array) -> Index:
-        """(m,) which of these points is the nearest on the same facet to each of (m,) facets and (m, dim) η."""
+    def between(self, values: Array, facet: Index, η: Array) -> Array:
+        """(m, …) values (n, …) of these points between them, at (m,) facets and (m, dim) η: weighted by inverse fourth powers
+        of distances (Shepard 1968), so that they are those of a point where one is, and continuous."""
+        place, there = self._places(facet)
+        apart = ((self.η[place] - η[:, None]) ** 2).sum(axis=2)
+        weight = there / (apart + APART**2) ** 2
+        weight /= weight.sum(axis=1, keepdims=True)
+        return np.asarray(np.einsum("mk,mk...->m...", weight, values[place]))
+
+    def _places(self, facet: Index) -> tuple[Index, NDArray[np.bool_]]:
+        """(m, k) the points on the facets (m,), the last again where there are fewer, and which are no such repetition."""
         count = np.bincount(self.facet, minlength=self.facets.size)
         first = np.cumsum(count) - count
-        place = np.minimum(np.arange(count.max(initial=1)), count[facet, None] - 1) + first[facet, None]
+        number = np.arange(count.max(initial=1))
+        place = np.minimum(number, count[facet, None] - 1) + first[facet, None]
+        return place, number < count[facet, None]
+
+    def nearest(self, facet: Index, η: Array) -> Index:
+        """(m,) which of these points is the nearest on the same facet to each of (m,) facets and (m, dim) η."""
+        place, _ = self._places(facet)
         distance = np.zeros(place.shape)
         for i in range(η.shape[1]):
             distance += np.abs(self.η[place, i] - η[:, i, None])

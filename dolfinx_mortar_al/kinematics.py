@@ -192,8 +192,10 @@ class Kinematics(ABC):
         self.set_history(point, ρ)
 
     def owed_at(self, points: IntegrationPoints) -> Array:
-        """(n, gdim) what is `owed` at other points: that of the nearest."""
-        return self.owed[1][self.owed[0].nearest(points.facet, points.η)]
+        """(n, gdim) what is `owed` at other points: between those that it is known of, as the nearest of them may change with
+        the last digit of where points are."""
+        known, owed = self.owed
+        return owed if points is known else known.between(owed, points.facet, points.η)
 
     def commit(self, unspent: Array | None, status: NDArray[np.int8]) -> None:
         """The step has converged: Y_{n−1} ← Y, from which the slip (n, gdim) that is `unspent` (m) goes on where points are

@@ -259,6 +259,8 @@ class NewtonSolver:
             if not any(pardoned) and (missing := [pair.name for pair in self.problem.pairs if pair.misses_most()]):
                 self.result.message = f"{', '.join(missing)}: points that slid off the target's end lie in the target"
                 return _Reason.DIVERGED_LOCAL_MIN
+            if not any(pardoned) and self._follows_again(iteration):
+                return None
             if not any(pardoned) and self._bounds_are_stale():
                 return _Reason.CONVERGED_FNORM_ABS
             if not any(pardoned) and not self._slides(iteration):
@@ -355,9 +357,21 @@ class NewtonSolver:
         if not any([pair.let_go() for pair in self.problem.pairs]):
             return False
         self._places.forget()  # what ties bore with them in contact
+        self._goes_on(iteration)
+        return True
+
+    def _follows_again(self, iteration: int) -> bool:
+        """A state has converged with points at rest while the target's end has moved: let them follow; whether any do
+        (collective)."""
+        if not any([pair.follow_again() for pair in self.problem.pairs]):
+            return False
+        self._goes_on(iteration)
+        return True
+
+    def _goes_on(self, iteration: int) -> None:
+        """The contact state is another one: the residual follows, and no cycle is known yet."""
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         self.problem.reconsider(self.snes.getFunction()[0])
-        return True
 
     def _slides(self, iteration: int) -> bool:
         """A state has converged with pieces tied to where they were: tie them to where they are, or farther on, until

