@@ -30,7 +30,8 @@ Index = NDArray[np.int64]
 ALMOST = 1.5e-8  # step in η after which Newton, which squares it, leaves round-off
 EDGE = 1e-9  # how far beyond a facet's sides, in η, a hit still counts: no ray slips through between two facets
 FACING = 0.1  # least cosine between ray and target's normal: flatter hits have no sensible gap
-# the same where segments end with the target: a multiplier goes on beside its corner, and must not press on the side there
+# the same where integrals end with the target: a multiplier goes on beside its corner, and must not press on the side there;
+# elsewhere hits count less and less from there to FACING
 OPPOSED = 0.5
 # penetration, in facets, beyond which the closest point must confirm a hit behind the contactor: 𝐱 is in the target, and as
 # deep as a flat one would be that the ray meets as slantingly as FACING lets it

@@ -30,7 +30,7 @@ from dolfinx_mortar_al.reductions import max_over
 from dolfinx_mortar_al.search import where
 from dolfinx_mortar_al.surface import Facets, GatheredFacets, ShapeFunctions, surface_normal
 
-__all__ = ["UNCOVERED", "CutAtEnds", "Segments", "cuts_on_curve", "ends_of", "images_on_curve", "segments_of"]
+__all__ = ["UNCOVERED", "Segments", "cuts_on_curve", "ends_of", "images_on_curve", "segments_of"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -163,7 +163,7 @@ def segments_of(facets: Facets, target: GatheredFacets, degree: int, thickness: 
 def ends_of(target: GatheredFacets, gauss: IntegrationPoints, degree: int, comm: MPI.Intracomm) -> Segments:
     """The points `gauss` of whole facets, and others of the quadrature's `degree` where the target ends, for a contactor of
     either dimension; `comm` as in :class:`Segments`."""
-    kind = CutAtEnds if gauss.facets.shape.dim == 1 else _PolygonsAtEnds
+    kind = _IntervalsAtEnds if gauss.facets.shape.dim == 1 else _PolygonsAtEnds
     return kind(target, gauss, degree, comm)
 
 
@@ -225,7 +225,7 @@ class _Intervals(Segments):
         return IntegrationPoints(self._facets, np.repeat(facet, len(weight)), points, weights, self._thickness)
 
 
-class CutAtEnds(_Intervals):
+class _IntervalsAtEnds(_Intervals):
     """Gauss points, on a curve, of whole facets, and of each part of a facet inside which the target ends or shows its side:
     points that would slide off with all that they bear move along with the end.
 
