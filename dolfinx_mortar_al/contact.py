@@ -30,7 +30,6 @@ from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.pair_findings import PairFindings
 from dolfinx_mortar_al.prescribed import PrescribedNodes
-from dolfinx_mortar_al.projection import TargetPoint
 from dolfinx_mortar_al.reductions import any_over, max_over, min_over, sum_over
 from dolfinx_mortar_al.segments import UNCOVERED, Segments, ends_of, segments_of
 from dolfinx_mortar_al.self_target import SelfTarget
@@ -823,6 +822,13 @@ class ContactPair(PairFindings):
             self._read_multiplier()
         self.state, self.kinematics.s = state, s
 
+    def slip_from_touch(self, ratio: float) -> None:
+        """In statics, count the slip of open points in the next step from where they touch, as
+        :meth:`PositionLevel.slip_from_touch` (collective)."""
+        if self.friction and isinstance(self.kinematics, PositionLevel):
+            self.kinematics.slip_from_touch(ratio)
+            self.apply_law()
+
     def _end_solve(self) -> None:
         if self.target_end is not None:
             self.target_end.end()
@@ -874,13 +880,7 @@ class ContactPair(PairFindings):
             "points_facet": points.facet.astype(float),
             "points_η": points.η.copy(),
             "points_weight": points.weight.copy(),
-            "points_history_facet": k.history.facet.astype(float),
-            "points_history_η": k.history.η.copy(),
-            "points_ρ": k.ρ.copy(),
-            "points_offset": k.offset.copy(),
-            "points_unspent": k.unspent.copy(),
-            "points_owed": k.owed_at(points),
-        }
+        } | {f"points_{name}": values for name, values in k.history_at_points().items()}
 
     def _restore_at_points(self, saved: dict[str, Array]) -> Array:
         """Points, and what they slip from, as in a snapshot; (n,) λ̂_N there (Pa)."""
@@ -892,10 +892,7 @@ class ContactPair(PairFindings):
             self.segments.forget()
             if not isinstance(k, StepLevel):
                 λN_hat = λN_hat[self.gauss.nearest(points.facet, points.η)]
-        point = TargetPoint(saved["points_history_facet"].astype(np.int64), saved["points_history_η"].copy())
-        k.set_history(point, saved["points_ρ"].copy())
-        k.offset, k.unspent = saved["points_offset"].copy(), saved["points_unspent"].copy()
-        k.owed = self.integration, saved["points_owed"].copy()
+        k.restore_history({name.removeprefix("points_"): values for name, values in saved.items()})
         return λN_hat
 
     def _expected(self) -> Array:

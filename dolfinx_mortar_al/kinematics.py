@@ -7,7 +7,7 @@ Two strategies of one interface: :class:`PositionLevel` (statics: gap and slip o
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from dolfinx import fem
@@ -46,6 +46,31 @@ class Forces:
     contactor: Array
     target: Array
     tangents: Array | None = None
+
+
+@dataclass(frozen=True)
+class Approach:
+    """How open points came nearer to the target in the last step, from which it is known when they will touch.
+
+    Attributes:
+        points: that `g` is known at; g: (n,) the penetration where that step ended, minus the reach where nothing was faced
+            (m).
+        nearer: (n,) by how much it grew, 0 at points that are closed or go away (m); drift: (n, gdim) the slip meanwhile (m).
+    """
+
+    points: IntegrationPoints
+    g: Array
+    nearer: Array
+    drift: Array
+
+    @classmethod
+    def none(cls, points: IntegrationPoints, reach: float) -> Approach:
+        n, gdim = points.size, points.facets.X.shape[2]
+        return cls(points, np.full(n, -reach), np.zeros(n), np.zeros((n, gdim)))
+
+    def at(self, origin: Index) -> Approach:
+        """Of other points, to which those with the numbers `origin` (n,) are the nearest."""
+        return replace(self, nearer=self.nearer[origin], drift=self.drift[origin])
 
 
 class Kinematics(ABC):
@@ -222,6 +247,24 @@ class Kinematics(ABC):
         with a slip `unspent`."""
         return None
 
+    def history_at_points(self) -> dict[str, Array]:
+        """What a step may change of the above, by name."""
+        return {
+            "history_facet": self.history.facet.astype(float),
+            "history_η": self.history.η.copy(),
+            "ρ": self.ρ.copy(),
+            "offset": self.offset.copy(),
+            "unspent": self.unspent.copy(),
+            "owed": self.owed_at(self.points),
+        }
+
+    def restore_history(self, saved: dict[str, Array]) -> None:
+        """As it was at these points."""
+        point = TargetPoint(saved["history_facet"].astype(np.int64), saved["history_η"].copy())
+        self.set_history(point, saved["ρ"].copy())
+        self.offset, self.unspent = saved["offset"].copy(), saved["unspent"].copy()
+        self.owed = self.points, saved["owed"].copy()
+
     def set_history(self, point: TargetPoint, ρ: Array | None = None) -> None:
         """Count the slip from these material points of the target, and from ρ (n, gdim) apart from them."""
         self.history = point
@@ -258,6 +301,16 @@ class PositionLevel(Kinematics):
     beyond = 1.0
     # (n,) derivative of the share with respect to the cosine between ray and target's normal
     _slope: Array = np.zeros(0)
+
+    def __init__(
+        self, points: IntegrationPoints, u: fem.Function, target: Target, friction: bool, reach: float
+    ) -> None:
+        super().__init__(points, u, target, friction, reach)
+        self.approach = Approach.none(points, reach)
+
+    def take(self, points: IntegrationPoints, origin: Index, contactor: Array, target: Array) -> None:
+        super().take(points, origin, contactor, target)
+        self.approach = self.approach.at(origin)
 
     def evaluate(self) -> None:
         self.target.refresh()
@@ -306,9 +359,49 @@ class PositionLevel(Kinematics):
         return self.x - self.positions_of_history() - carried(self._frame, self.ρ)
 
     def commit(self, unspent: Array | None, status: NDArray[np.int8]) -> None:
+        drift = np.zeros_like(self.ρ) if self.s is None else self.s - self.owed_at(self.points)
         super().commit(unspent, status)
+        if self.friction:
+            owed = np.where((status == OPEN)[:, None], 0.0, self.slip()) if self.carries else np.zeros_like(self.ρ)
+            self.owed = self.points, owed
+            self._remember_approach(drift, status == OPEN)
+
+    def _remember_approach(self, drift: Array, is_open: Bool) -> None:
+        """Of open points, how much nearer they have come in the step that has converged, and the slip `drift` (n, gdim)."""
+        g = np.where(self.at.facing, self.at.g, -self.reach)
+        nearer = np.where(is_open & self.at.facing, np.maximum(g - self._gap_before(), 0.0), 0.0)
+        along = drift - self.at.ν * dot(self.at.ν, drift)[:, None]
+        self.approach = Approach(self.points, g, nearer, np.where(nearer[:, None] > 0.0, along, 0.0))
+
+    def history_at_points(self) -> dict[str, Array]:
+        approach = {"gap": self._gap_before(), "nearer": self.approach.nearer, "drift": self.approach.drift}
+        return super().history_at_points() | {name: values.copy() for name, values in approach.items()}
+
+    def restore_history(self, saved: dict[str, Array]) -> None:
+        super().restore_history(saved)
+        self.approach = Approach(self.points, *(saved[name].copy() for name in ("gap", "nearer", "drift")))
+
+    def _gap_before(self) -> Array:
+        """(n,) the penetration where the last step ended (m)."""
+        points, g = self.approach.points, self.approach.g
+        return g if points is self.points else points.between(g, self.points.facet, self.points.η)
+
+    def slip_from_touch(self, ratio: float) -> None:
+        """Of open points, count the slip of the next step, which is `ratio` times as long as the last one, from where
+        they touch in it if all goes on as it did: what they pass in the air is no slip (docs/theory.md)."""
+        nearer = self.approach.nearer
+        share = np.divide(-self._gap_before(), nearer, out=np.zeros_like(nearer), where=nearer > 0.0)
+        air = np.where(share < ratio, np.maximum(share, 0.0), 0.0)[:, None] * self.approach.drift
         if self.carries:
-            self.owed = self.points, np.where((status == OPEN)[:, None], 0.0, self.slip())
+            ρ = self.ρ + components(self.target.tangents(self.history, self.slopes), air)
+            self.set_history(self.history, ρ)
+        else:
+            came, point = np.flatnonzero(air.any(axis=1)), self.history.copy()
+            near = self.target.closest(self.positions_of_history()[came] + air[came]).point
+            point.facet[came], point.η[came] = near.facet, near.η
+            self.set_history(point)
+        self.owed = self.points, self.owed_at(self.points) - air
+        self.s = self.slip()
 
     @property
     def carries(self) -> bool:

@@ -15,18 +15,30 @@ from typing import Any
 
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.ranks import together
-from dolfinx_mortar_al.reductions import any_over
+from dolfinx_mortar_al.reductions import any_over, sum_over
 from dolfinx_mortar_al.validation import check_callable, check_scalar, number
 
-__all__ = ["Load", "Loads", "Movable"]
+__all__ = ["Load", "Loads", "Movable", "pace"]
 
 Array = NDArray[np.float64]
 
 #: what can be a load
 Movable = fem.Constant | fem.Function | Callable[[float], None]
+
+MOVED = "moved "  # before the label, in a snapshot
+PARALLEL = 1e-12  # one minus the squared cosine between two ways that count as one line
+
+
+def pace(comm: MPI.Comm, way: Array, last: Array | None) -> float:
+    """How much longer `way` is than the `last` one (components,), where it goes on along its line, else 0 (collective)."""
+    if last is None:
+        return 0.0
+    aa, ab, bb = sum_over(comm, np.array([last @ last, last @ way, way @ way]))
+    return float(ab / aa) if ab > 0.0 and ab**2 >= (1.0 - PARALLEL) * aa * bb else 0.0
 
 
 class Load(ABC):
@@ -35,10 +47,12 @@ class Load(ABC):
     Attributes:
         source: the Constant, Function or function.
         label: its kind or name, without a dot.
+        moved: (components,) by how much the last step has moved it; None if it has not.
     """
 
     source: Any
     label: str
+    moved: Array | None = None
 
     @property
     @abstractmethod
@@ -208,17 +222,23 @@ class Loads:
         saved = self._waiting.pop(label, None)
         if saved is not None and saved.shape == new.value.shape:
             new.set(saved)
+        new.moved = self._waiting.pop(MOVED + label, None)
         return new
 
+    def step(self, load: Load | None, way: Array | None = None) -> None:
+        """The last step has moved this load by `way` (components,) and no other, or it says nothing of the next one."""
+        for one in self._loads.values():
+            one.moved = way if one is load else None
+
     def snapshot(self) -> dict[str, Array]:
-        """The value of each load on this rank."""
-        return {label: load.value for label, load in self._loads.items()}
+        """The value of each load on this rank, and by how much it moved in the last step."""
+        moved = {f"{MOVED}{label}": one.moved for label, one in self._loads.items() if one.moved is not None}
+        return {label: load.value for label, load in self._loads.items()} | moved
 
     def restore(self, saved: dict[str, Array]) -> None:
         """Back to a snapshot; the values of loads that no march has moved yet wait for them."""
-        for label, value in saved.items():
-            load = self._loads.get(label)
-            if load is None:
-                self._waiting[label] = value
-            elif not np.array_equal(load.value, value):
-                load.set(value)
+        self._waiting |= {k: v for k, v in saved.items() if k.removeprefix(MOVED) not in self._loads}
+        for label, load in self._loads.items():
+            load.moved = saved.get(MOVED + label)
+            if label in saved and not np.array_equal(load.value, saved[label]):
+                load.set(saved[label])

@@ -818,6 +818,12 @@ class ContactProblem:
         for name, member in self.members.items():
             member.restore(saved[name])
 
+    def slip_from_touch(self, ratio: float) -> None:
+        """Let points that touch in the next step, `ratio` times as long as the last, slip from there; 0 where that one says
+        nothing of it (collective)."""
+        for pair in self.pairs if ratio > 0.0 else ():
+            pair.slip_from_touch(ratio)
+
     def resume(self, saved: Snapshot) -> None:
         """To a converged state of an earlier run (collective)."""
         self.restore(saved)

@@ -13,7 +13,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al import stepping, validation
-from dolfinx_mortar_al.load import Load, Movable
+from dolfinx_mortar_al.load import Load, Movable, pace
 from dolfinx_mortar_al.load_watch import LoadWatch
 from dolfinx_mortar_al.monitors import Finding, Reporter
 from dolfinx_mortar_al.newton import NO_PROGRESS, NewtonResult, NewtonSolver, Path
@@ -21,7 +21,7 @@ from dolfinx_mortar_al.pair_findings import PUSHED
 from dolfinx_mortar_al.predictor import Predictor
 from dolfinx_mortar_al.problem import ContactProblem, check_problem
 from dolfinx_mortar_al.ranks import agreed
-from dolfinx_mortar_al.reductions import all_over, max_over, sum_over
+from dolfinx_mortar_al.reductions import all_over, max_over
 from dolfinx_mortar_al.relaxation import relax
 from dolfinx_mortar_al.stepping import Attempt, Bar, Controller, Event, March, StepFailure
 
@@ -33,7 +33,6 @@ CUT_WITHOUT_PROGRESS = 1 / 4  # of an increment after a failure in which Newton 
 SMALLEST = 2.0**-10  # increment, as a share of the asked-for one, below which a march gives up
 LEAP = 1 / 4  # of an increment, down to which a step from a stable equilibrium to an unstable one is tried again
 NEARLY = 1e-9  # of an increment: round-off in a position to go on from
-PARALLEL = 1e-12  # one minus the squared cosine between the directions of two stages that count as one line
 
 UNSTABLE = Finding(
     "determinant of the Jacobian",
@@ -119,6 +118,7 @@ def equilibrate(problem: ContactProblem, *, solver: NewtonSolver | None = None) 
         problem.restore(before)
         problem.show_committed()
         raise StepFailure(f"no convergence in the loads as they stand: {attempt.message}")
+    problem.loads.step(None)
     problem.commit()
     Reporter(problem.comm.rank).report(attempt.findings, "the loads as they stand", stacklevel=3)
     return Step(
@@ -296,6 +296,10 @@ class _Leg:
             return self.end
         return self.begin + x / self.increments * (self.end - self.begin)
 
+    def way(self, x: float) -> Array:
+        """(components,) by how much a step to a position moves the load."""
+        return self.value(x) - self.value(self.x)
+
     def stand(self, x: float) -> float:
         """What a step at that position says of its load."""
         return float(self.value(x)[0]) if self.load.is_number else x / self.increments
@@ -437,6 +441,7 @@ class _LoadControl(Controller[Step]):
             self._predictor.predict(self._x / leg.increments)
         with leg.watch:
             leg.load.set(leg.value(self._x))
+        self.problem.slip_from_touch(pace(self.problem.comm, leg.way(self._x), leg.load.moved))
         attempt = _solve(self.problem, self.solver)
         self._leapt, self._unstable = False, UNSTABLE in attempt.findings
         if attempt.good and self._unstable and not self._was_unstable:
@@ -493,6 +498,7 @@ class _LoadControl(Controller[Step]):
         leg, stage = self._legs[self.leg], self.leg
         self._was_unstable = self._unstable
         self._from_last = self._tried_from_last = self._restless = False
+        self.problem.loads.step(None if self._leapt else leg.load, leg.way(self._x))
         self.problem.commit()
         leg.x, self._at = self._x, self._tried
         self._predictor.add(leg.x / leg.increments, afresh=self._leapt)
@@ -510,13 +516,9 @@ class _LoadControl(Controller[Step]):
             return
         leg = self._legs[self.leg]
         leg.enter(0.0)
-        scale = 0.0
-        if leg.load is last.load:
-            a, b = last.end - last.begin, leg.end - leg.begin
-            aa, ab, bb = sum_over(self.problem.comm, np.array([a @ a, a @ b, b @ b]))
-            if ab > 0.0 and ab**2 >= (1.0 - PARALLEL) * aa * bb:
-                scale = float(aa / ab)
-        self._predictor.turn(scale)
+        before = last.end - last.begin if leg.load is last.load else None
+        longer = pace(self.problem.comm, leg.end - leg.begin, before)
+        self._predictor.turn(1.0 / longer if longer else 0.0)
 
     def failure(self, reason: str) -> str:
         reason += RESTLESS if self._restless else ""
@@ -579,6 +581,7 @@ class _PathControl(Controller[Step]):
         direction = u1 - u0
         self.problem.bodies.set(u1 + share * direction)
         self.load.number = λ1 + share * (λ1 - λ0)
+        self.problem.slip_from_touch(share)
         attempt = _solve(self.problem, self.solver, Path(self.load, direction, 1e-3 * self.first))
         self._tried = self.load.number
         return attempt
@@ -592,6 +595,7 @@ class _PathControl(Controller[Step]):
         return self._over
 
     def accept(self, done: stepping.Step) -> Step:
+        self.problem.loads.step(None)
         self.problem.commit()
         self.mark()
         self._taken += 1
