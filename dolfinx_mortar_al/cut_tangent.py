@@ -91,7 +91,7 @@ def _rates(
 
     NΛ, slope = blocks.NΛ[k], blocks.along_facets(k)
     nodal = blocks.multiplier.own_nodal()[facet].reshape(len(k), -1, 1)
-    δ = kinematics.along_facets(k, (slope @ nodal)[:, :, 0])
+    δ = kinematics.along_facets(k, 2 * cuts.cut + (cuts.dw > 0.0), (slope @ nodal)[:, :, 0])
     C, δr = kinematics.linearise(law, now, Λ[k], k, kinematics.slots(m))
     δt, moving = (C[:, row] @ δ[:, :, None] for row in (1, 2))  # of t on N2, and t δη₂ on N2,α
     δt, moving, δr = δt[..., 0], moving[..., 0], (δr @ δ[:, :, None])[..., 0]

@@ -426,10 +426,10 @@ class PositionLevel(Kinematics):
         names = ["x", "w", *(f"w,{α}" for α in derivatives), *own, *old]
         return Slots(self.target.dim + 1, multiplier, tuple(names))
 
-    def along_facets(self, act: Index, slope: Array) -> Array:
+    def along_facets(self, act: Index, part: Index, slope: Array) -> Array:
         """(n, z) variations of the slots as points `act` move along their facets by δη = 1, the multiplier by its `slope`
-        (n, components). What they have slipped stays, as history is found anew where they go; what has come from beyond the
-        target's end slips from there, a node of it."""
+        (n, components). History is found anew where they go, so that slip is what it is there, and as a straight line fits
+        that of the points of each `part` (n,); what has come from beyond the target's end slips from there, a node of it."""
         points, slots = self.points, self.slots(slope.shape[1])
         _, dN, ddN = points.facets.shape.tabulate(points.η[act], 2)
         nodes = self.nodes()[points.facet[act]]
@@ -437,8 +437,26 @@ class PositionLevel(Kinematics):
         motion = {"x": a, "x,0": aη}
         if self.friction:
             from_end = self.weights[act].max(axis=1) > 1.0 - AT_NODE
-            motion["w_p"] = np.where(from_end[:, None], 0.0, a)
+            motion["w_p"] = np.where(from_end[:, None], 0.0, a - self._slope_of_slip(act, part, ~from_end))
         return np.concatenate([*(motion.get(name, np.zeros_like(a)) for name in slots.names), slope], axis=1)
+
+    def _slope_of_slip(self, act: Index, part: Index, fits: Bool) -> Array:
+        """(n, gdim) ∂s/∂η of points `act` by the straight line that fits best those of each `part` (n,) that face the target
+        and are among `fits`."""
+        assert self.s is not None
+        weight = (fits & self.at.facing[act]).astype(float)
+
+        def mean(values: Array) -> Array:
+            total = np.zeros((part.max(initial=-1) + 1, *values.shape[1:]))
+            np.add.at(total, part, values * weight.reshape(-1, *np.ones(values.ndim - 1, dtype=int)))
+            return total
+
+        count = np.maximum(mean(np.ones(len(act))), 1.0)
+        η, s = self.points.η[act, 0], self.s[act]
+        η = η - (mean(η) / count)[part]
+        s = s - (mean(s) / count[:, None])[part]
+        spread = mean(η**2)
+        return (mean(η[:, None] * s) / np.where(spread > 0.0, spread, 1.0)[:, None])[part]
 
     def forces(self, state: LawState) -> Forces:
         """−∫ t·(N1 U1* − N2(η) U2*) dS₀, eq. (4)."""

@@ -89,12 +89,13 @@ class Segments(ABC):
 
     def begin(self) -> None:
         """A new solve: points follow closely at first, less and less as they are moved again."""
-        self._still, self._last, self.rest = self.still, np.inf, False
+        self._still, self._last, self.rest, self.lags = self.still, np.inf, False, False
 
     def _follows(self, motion: float) -> bool:
         """Whether points follow cuts that have moved so far (in facets)."""
-        #: whether they stay though they have moved
-        self.rest = self.still < motion <= self._still
+        #: whether they stay though cuts have moved, after they have followed them in this solve, and by more than `still`
+        self.rest = 0.0 < motion <= self._still and self._last < np.inf
+        self.lags = self.still < motion <= self._still
         if motion <= self._still:
             return False
         if motion > self.settles * self._last:
