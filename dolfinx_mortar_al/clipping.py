@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["areas", "clip", "contains", "triangulate"]
+__all__ = ["areas", "clip", "contains", "triangulate", "without_flat_corners"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -69,6 +69,25 @@ def contains(polygons: Array, count: Index, x: Array) -> NDArray[np.bool_]:
     arm = x[None, :, None] - polygons[:, None]
     left = along[:, None, :, 0] * arm[..., 1] - along[:, None, :, 1] * arm[..., 0] >= 0.0
     return np.asarray((left | (place >= count[:, None])[:, None]).all(axis=2))
+
+
+def without_flat_corners(polygons: Array, count: Index, least: float) -> tuple[Array, Index]:
+    """The convex polygons without corners whose triangle with those on either side is smaller than `least`, and how many are
+    left: what a small motion adds and takes away again is not there."""
+    rows, place = np.arange(len(polygons)), np.arange(polygons.shape[1])
+    kept, left, before = place < count[:, None], count.copy(), count - 1
+    for k in place:
+        there, after = k < count, np.where(k + 1 < count, k + 1, kept.argmax(axis=1))
+        one, other = (
+            polygons[:, k] - polygons[rows, before],
+            polygons[rows, after % len(place)] - polygons[rows, before],
+        )
+        flat = there & (np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) < 2 * least) & (left > 3)
+        kept[:, k] &= ~flat
+        left -= flat
+        before = np.where(there & ~flat, k, before)
+    order = np.argsort(~kept, axis=1, kind="stable")
+    return np.take_along_axis(polygons, order[:, :, None], axis=1), left
 
 
 def triangulate(polygons: Array, count: Index) -> tuple[Index, Array]:

@@ -71,8 +71,9 @@ class NewtonResult:
 
     @property
     def wild(self) -> bool:
-        """Whether the residual was larger on the way than at the start, by far."""
-        sizes = [max(norms) for norms in self.norms]
+        """Whether forces were farther from balance on the way than at the start, by far. The pairs' residuals are shares of
+        pressures, which vanish where bodies part."""
+        sizes = [norms[0] for norms in self.norms]
         return bool(sizes) and max(sizes) > WILD * sizes[0]
 
     @property

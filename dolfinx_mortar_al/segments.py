@@ -21,7 +21,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.clipping import areas, clip, contains, triangulate
+from dolfinx_mortar_al.clipping import areas, clip, contains, triangulate, without_flat_corners
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.moving_cuts import MovingCuts
 from dolfinx_mortar_al.projection import dot, inverse
@@ -49,6 +49,7 @@ NEWTON = 8  # iterations for the ray of a curved facet through a point, or a poi
 # the third root, that determines its multiplier, and with less its force fades
 UNCOVERED = 1e-3
 SLIVER = 1e-13  # share of a facet below which a polygon is round-off
+THIN = 1e-4  # the same with Gauss points: edges amid the target, where they lie on those of the contactor, come and go
 HARDLY = 1e-6  # share of a facet that counts as nothing: seen at all, or seen twice
 # degree of the points where a facet in space faces nothing: eight across, as their weight matters and their places hardly do
 LEFT_OVER = 15
@@ -315,6 +316,9 @@ class _Polygons(Segments):
         comm: of the ranks that have the contactor.
     """
 
+    #: share of a facet below which a polygon is left to the others on it
+    thin = SLIVER
+
     def __init__(self, target: GatheredFacets, whole: IntegrationPoints, degree: int, comm: MPI.Intracomm) -> None:
         facets, self._whole = whole.facets, whole
         own, other = facets.shape.corners, target.shape.corners
@@ -361,11 +365,16 @@ class _Polygons(Segments):
         area = areas(polygons, count) / self._area
         real = (count > 2) & (area > SLIVER)
         covered = np.bincount(facet[real], area[real], minlength=self._facets.size)
+        polygons, count = without_flat_corners(polygons, count, self.thin * self._area)
+        area = areas(polygons, count) / self._area
+        kept = np.bincount(facet[real], np.where(area > self.thin, area, 0.0)[real], minlength=self._facets.size)
+        real &= (area > self.thin) | (kept[facet] == 0.0)
         # where the target is seen twice, layer behind layer, or all but not at all
         plain = (covered > 1.0 + HARDLY) | (covered < HARDLY)
         real &= ~plain[facet]
         row, triangles = triangulate(polygons[real], count[real])
         seen = self._on_triangles(facet[real][row], triangles)
+        seen[2][:] *= np.where(kept > 0.0, covered / np.maximum(kept, SLIVER), 1.0)[seen[0]]
         rest = self._left_over(facet[real], polygons[real], count[real], np.where(plain, 1.0, covered))
         owner: Index = np.concatenate([seen[0], rest[0]])
         η, weight = (np.concatenate([seen[k], rest[k]]) for k in (1, 2))
@@ -417,7 +426,7 @@ class _PolygonsAtEnds(_Polygons):
     """Gauss points of whole facets, and polygons of those that see a facet of the target at which it ends or shows its side.
     The arguments are those of :class:`_Polygons`."""
 
-    still, growth, settles = STILL_AT_ENDS, GROWTH_AT_ENDS, SETTLES
+    still, growth, settles, thin = STILL_AT_ENDS, GROWTH_AT_ENDS, SETTLES, THIN
 
     def __init__(self, target: GatheredFacets, gauss: IntegrationPoints, degree: int, comm: MPI.Intracomm) -> None:
         super().__init__(target, gauss, degree, comm)

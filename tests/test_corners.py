@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dolfinx import fem
-from dolfinx.mesh import CellType, create_rectangle, locate_entities_boundary, meshtags
+from dolfinx.mesh import CellType, create_box, create_rectangle, locate_entities_boundary, meshtags
 from mpi4py import MPI
 from scenes import assert_tangent, blocks, rough, set_field
 from test_projection import curved_surface
@@ -236,6 +236,40 @@ def test_a_corner_in_a_drag_does_not_dig_in():
     assert rejected == 0
     assert model.penetration() < 0.01  # seen: 0.004
     assert np.allclose(forces[-1], [189.4, 149.7], rtol=2e-3)  # N, as without the sides
+
+
+@pytest.mark.one_rank
+@pytest.mark.parametrize("cells", [(4, 3, 2), (8, 6, 2)])
+def test_edges_that_lie_on_each_other_come_and_go(cells):
+    """Of a block pressed straight onto a wider one, the contactor, facets' edges lie on those of the other, and cross
+    them for every last digit. While each crossing was a corner of what is integrated over, steps took 7 and 12."""
+    sizes = [((0, 0, 0), (1, 0.6, 0.3), (4, 3, 2), 10.0), ((0.2, 0.1, 0.3), (0.8, 0.5, 0.6), cells, 20.0)]
+    u, F, faces = [], [], []
+    for low, high, n, young in sizes:
+        domain = create_box(MPI.COMM_WORLD, [low, high], n, CellType.hexahedron)
+        domain.topology.create_connectivity(2, 3)
+        ends = low[2], high[2]
+        faces.append([locate_entities_boundary(domain, 2, lambda x, z=z: np.isclose(x[2], z)) for z in ends])
+        u.append(fem.Function(fem.functionspace(domain, ("Lagrange", 1, (3,)))))
+        F.append(materials.neo_hookean(young, 0.3).virtual_work(u[-1]))
+    V, down = [one.function_space for one in u], fem.Constant(u[1].function_space.mesh, np.zeros(3))
+    held = zip((np.zeros(3), down), V, (faces[0][0], faces[1][1]), strict=True)
+    bcs = [fem.dirichletbc(value, fem.locate_dofs_topological(space, 2, face), space) for value, space, face in held]
+    touch = [np.sort(faces[0][1]), np.sort(faces[1][0])]
+    tags = [meshtags(W.mesh, 2, face, np.ones(len(face), dtype=np.int32)) for W, face in zip(V, touch, strict=True)]
+    sides = [Surface(W.mesh, own, 1) for W, own in zip(V, tags, strict=True)]
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[Contact(*sides, friction=0.3)])
+    iterations = [step.iterations for step in quasistatic.march(problem, down, to=(0.0, 0.0, -0.02), increments=2)]
+    assert max(iterations) <= 4  # seen: 1 and 3
+
+
+@pytest.mark.one_rank
+def test_a_block_is_lifted_off_in_one_increment():
+    """Shares of pressures that vanish say nothing of whether iterates are wild: the step was rejected as one that leaps."""
+    scene = block_on_slab([PRESS, Stage("off", 1, (0.0, 0.05))], swap=False, sides=False, friction=0.3)
+    model, forces, rejected = march(scene)
+    assert rejected == 0 and model.pair.closed_fraction() == 0.0
+    assert np.linalg.norm(forces[-1]) == 0.0
 
 
 def rounded_on_slab(cells, swap, lips=1):
