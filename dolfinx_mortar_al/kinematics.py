@@ -359,7 +359,7 @@ class PositionLevel(Kinematics):
         return self.x - self.positions_of_history() - carried(self._frame, self.ρ)
 
     def commit(self, unspent: Array | None, status: NDArray[np.int8]) -> None:
-        drift = np.zeros_like(self.ρ) if self.s is None else self.s - self.owed_at(self.points)
+        drift = self._drift() if self.friction else np.zeros_like(self.ρ)
         super().commit(unspent, status)
         if self.friction:
             owed = np.where((status == OPEN)[:, None], 0.0, self.slip()) if self.carries else np.zeros_like(self.ρ)
@@ -370,8 +370,18 @@ class PositionLevel(Kinematics):
         """Of open points, how much nearer they have come in the step that has converged, and the slip `drift` (n, gdim)."""
         g = np.where(self.at.facing, self.at.g, -self.reach)
         nearer = np.where(is_open & self.at.facing, np.maximum(g - self._gap_before(), 0.0), 0.0)
-        along = drift - self.at.ν * dot(self.at.ν, drift)[:, None]
-        self.approach = Approach(self.points, g, nearer, np.where(nearer[:, None] > 0.0, along, 0.0))
+        self.approach = Approach(self.points, g, nearer, np.where(nearer[:, None] > 0.0, drift, 0.0))
+
+    def _drift(self) -> Array:
+        """(n, gdim) the slip since the last step, as far as it is more than what the turns of the two surfaces leave open,
+        which carry a gap along in different ways: where bodies mirror each other, that is all of it."""
+        assert self.s is not None
+        owed, ν = self.owed_at(self.points), self.at.ν
+        drift, turned = self.s - owed, carried(self._frame, self.ρ) + owed if self.carries else np.zeros_like(self.ρ)
+        drift, turned = (a - ν * dot(ν, a)[:, None] for a in (drift, turned))
+        size, doubt = (np.linalg.norm(a, axis=1) for a in (drift, turned))
+        sure = np.maximum(size - doubt, 0.0)
+        return drift * np.divide(sure, size, out=np.zeros_like(size), where=size > 0.0)[:, None]
 
     def history_at_points(self) -> dict[str, Array]:
         approach = {"gap": self._gap_before(), "nearer": self.approach.nearer, "drift": self.approach.drift}
