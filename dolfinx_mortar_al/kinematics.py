@@ -359,9 +359,9 @@ class PositionLevel(Kinematics):
         return self.x - self.positions_of_history() - carried(self._frame, self.ρ)
 
     def commit(self, unspent: Array | None, status: NDArray[np.int8]) -> None:
-        drift = self._drift() if self.friction else np.zeros_like(self.ρ)
+        drift = self._drift() if self.friction else None
         super().commit(unspent, status)
-        if self.friction:
+        if drift is not None:
             owed = np.where((status == OPEN)[:, None], 0.0, self.slip()) if self.carries else np.zeros_like(self.ρ)
             self.owed = self.points, owed
             self._remember_approach(drift, status == OPEN)
@@ -384,12 +384,15 @@ class PositionLevel(Kinematics):
         return drift * np.divide(sure, size, out=np.zeros_like(size), where=size > 0.0)[:, None]
 
     def history_at_points(self) -> dict[str, Array]:
+        if not self.friction:
+            return super().history_at_points()
         approach = {"gap": self._gap_before(), "nearer": self.approach.nearer, "drift": self.approach.drift}
         return super().history_at_points() | {name: values.copy() for name, values in approach.items()}
 
     def restore_history(self, saved: dict[str, Array]) -> None:
         super().restore_history(saved)
-        self.approach = Approach(self.points, *(saved[name].copy() for name in ("gap", "nearer", "drift")))
+        if self.friction:
+            self.approach = Approach(self.points, *(saved[name].copy() for name in ("gap", "nearer", "drift")))
 
     def _gap_before(self) -> Array:
         """(n,) the penetration where the last step ended (m)."""

@@ -316,9 +316,6 @@ class _Polygons(Segments):
         comm: of the ranks that have the contactor.
     """
 
-    #: share of a facet below which a polygon is left to the others on it
-    thin = SLIVER
-
     def __init__(self, target: GatheredFacets, whole: IntegrationPoints, degree: int, comm: MPI.Intracomm) -> None:
         facets, self._whole = whole.facets, whole
         own, other = facets.shape.corners, target.shape.corners
@@ -365,21 +362,24 @@ class _Polygons(Segments):
         area = areas(polygons, count) / self._area
         real = (count > 2) & (area > SLIVER)
         covered = np.bincount(facet[real], area[real], minlength=self._facets.size)
-        polygons, count = without_flat_corners(polygons, count, self.thin * self._area)
-        area = areas(polygons, count) / self._area
-        kept = np.bincount(facet[real], np.where(area > self.thin, area, 0.0)[real], minlength=self._facets.size)
-        real &= (area > self.thin) | (kept[facet] == 0.0)
+        polygons, count, left = self._without_trifles(facet, polygons, count, np.where(real, area, 0.0))
+        kept = np.bincount(facet, left, minlength=self._facets.size)
         # where the target is seen twice, layer behind layer, or all but not at all
         plain = (covered > 1.0 + HARDLY) | (covered < HARDLY)
-        real &= ~plain[facet]
+        real = (left > 0.0) & ~plain[facet]
         row, triangles = triangulate(polygons[real], count[real])
-        seen = self._on_triangles(facet[real][row], triangles)
-        seen[2][:] *= np.where(kept > 0.0, covered / np.maximum(kept, SLIVER), 1.0)[seen[0]]
+        seen = list(self._on_triangles(facet[real][row], triangles))
+        seen[2] = seen[2] * (covered / np.maximum(kept, SLIVER))[seen[0]]
         rest = self._left_over(facet[real], polygons[real], count[real], np.where(plain, 1.0, covered))
         owner: Index = np.concatenate([seen[0], rest[0]])
         η, weight = (np.concatenate([seen[k], rest[k]]) for k in (1, 2))
         parts = IntegrationPoints(self._facets, owner, η, weight, self._thickness)
         return self._whole.spliced(parts, plain)
+
+    def _without_trifles(self, facet: Index, polygons: Array, count: Index, area: Array) -> tuple[Array, Index, Array]:
+        """Polygons of facets (m,) of areas (m,), as they are integrated over, and their areas, 0 where they are not: the
+        others on the facet have what these cover."""
+        return polygons, count, area
 
     def _left_over(self, facet: Index, polygons: Array, count: Index, covered: Array) -> tuple[Index, Array, Array]:
         """Facet, η and weight of points where facets see nothing, of which the share `covered` (nf,) lies in `polygons` of
@@ -426,7 +426,7 @@ class _PolygonsAtEnds(_Polygons):
     """Gauss points of whole facets, and polygons of those that see a facet of the target at which it ends or shows its side.
     The arguments are those of :class:`_Polygons`."""
 
-    still, growth, settles, thin = STILL_AT_ENDS, GROWTH_AT_ENDS, SETTLES, THIN
+    still, growth, settles = STILL_AT_ENDS, GROWTH_AT_ENDS, SETTLES
 
     def __init__(self, target: GatheredFacets, gauss: IntegrationPoints, degree: int, comm: MPI.Intracomm) -> None:
         super().__init__(target, gauss, degree, comm)
@@ -441,6 +441,12 @@ class _PolygonsAtEnds(_Polygons):
         cut = np.unique(_near_balls(x, radius, *(a[self._is_end] for a in ends))[0])
         facet, end = _near_balls(x[cut], radius[cut], *ends)
         return cut[facet], end
+
+    def _without_trifles(self, facet: Index, polygons: Array, count: Index, area: Array) -> tuple[Array, Index, Array]:
+        polygons, count = without_flat_corners(polygons, count, THIN * self._area)
+        left = np.where(area > 0.0, areas(polygons, count) / self._area, 0.0)
+        covers = np.bincount(facet[left > THIN], minlength=self._facets.size) > 0
+        return polygons, count, np.where((left > THIN) | ~covers[facet], left, 0.0)
 
     def _points(self, facet: Index, end: Index, images: Array) -> IntegrationPoints:
         cut = self._at_end(facet, end)

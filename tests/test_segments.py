@@ -7,7 +7,7 @@ from mpi4py import MPI
 from scenes import beams, blocks, contact_of, membranes, tip
 
 from dolfinx_mortar_al import Checkpoint, Contact, ContactProblem, dynamics, materials, output, quasistatic
-from dolfinx_mortar_al.clipping import _clip_by_line, areas, clip, triangulate
+from dolfinx_mortar_al.clipping import _clip_by_line, areas, clip, triangulate, without_flat_corners
 from dolfinx_mortar_al.segments import cuts_on_curve, images_on_curve
 from dolfinx_mortar_al.surface import ShapeFunctions
 from exact.two_membranes import TwoMembranes as Exact
@@ -198,3 +198,14 @@ def test_impact_of_blocks(shared_path):
     _, again = landing(shared_path, resumed=True)
     assert again[-1][0].ledger.total == pytest.approx(total[-1], rel=1e-10)
     assert again[-1][0].ledger.impact_loss == pytest.approx(steps[-1][0].ledger.impact_loss, abs=1e-10 * total[0])
+
+
+@pytest.mark.one_rank
+def test_flat_corners_are_left_out():
+    """Of a square with a vertex amid each side, one of them off by a hair, and a corner that is there twice; and of a
+    triangle, which stays one however thin it is."""
+    square = [[0, 0], [0.5, -1e-9], [1, 0], [1, 1e-9], [1, 0.5], [1, 1], [0.5, 1], [0, 1], [0, 0.5]]
+    thin = [[0, 0], [1, 0], [1, 1e-9]] + 6 * [[0, 0]]
+    polygons, count = without_flat_corners(np.array([square, thin], dtype=float), np.array([9, 3]), 1e-4)
+    assert count.tolist() == [4, 3]
+    assert np.allclose(areas(polygons, count), [1.0, 0.0], atol=1e-8)
