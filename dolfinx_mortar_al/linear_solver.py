@@ -240,7 +240,7 @@ class LinearSolver:
         """y = 𝐀⁻¹𝐫 with the sparse Jacobian 𝐀 becomes (𝐀 + ∑ κ 𝐦⊗𝐦)⁻¹𝐫 with the problem's ties: Sherman, Morrison
         and Woodbury's formula (collective)."""
         ties = self.problem.ties
-        if ties is None or not ties.acts:
+        if ties is None or not ties.acts or ties.are_loose:
             return
         if self._ties is None:
             self._ties = []

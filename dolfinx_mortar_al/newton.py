@@ -299,6 +299,8 @@ class NewtonSolver:
         if self.problem.decide(snes.getFunction()[0]):
             self._set_since = iteration
         self.problem.catch_slipping(snes.getFunction()[0], begins=iteration == 0)
+        if len(self.result.norms) == 1 and self._path is None:
+            self.problem.loosen_ties(snes.getFunction()[0])
 
     def _watch_pattern(self, iteration: int) -> int | None:
         """When the open/slip/stick pattern comes back to an earlier one: let what is held smooth stay so; then freeze the
@@ -443,6 +445,7 @@ class NewtonSolver:
             self._path.load.number += length * change
         if length < 1.0:
             y.scale(length)
+        p.tighten_ties()
         improved = self._path is None and not p.tension and self._improve(x, y, length)
         return improved or length < 1.0 or self._path is not None
 

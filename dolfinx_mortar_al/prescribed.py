@@ -38,6 +38,9 @@ class PrescribedNodes:
     def __init__(self, contactor: Surface, target: Target, surface: Surface | None, bodies: Bodies) -> None:
         self._comm, self._bodies = bodies.comm, bodies
         self._contactor, self._target, self._surface = contactor, target, surface
+        # where they were at the last look, (nodes, gdim) of each side, and what was found
+        self._seen: list[Array] = []
+        self._found: tuple[float, tuple[float, ...]] = (-np.inf, ())
 
     @cached_property
     def _couples(self) -> list[tuple[DeformableTarget, Target, Inside | None]]:
@@ -56,16 +59,23 @@ class PrescribedNodes:
 
     def deepest(self) -> tuple[float, tuple[float, ...]]:
         """How deep one of them lies in the other body (m) where that is held along the normal as well, and its reference
-        position; −∞ without one (collective)."""
+        position; −∞ without one (collective). Between two surfaces that changes as such nodes move, and only then."""
         worst: tuple[float, tuple[float, ...]] = (-np.inf, ())
         for side, _, _ in self._couples:
             side.refresh()
+        seen = [side.nodes[side.fixed.any(axis=1)] for side, _, _ in self._couples]
+        known = self._surface is not None and len(self._seen) == len(seen)
+        moved = not known or not all(map(np.array_equal, seen, self._seen))
+        if seen and not any_over(self._comm, moved):
+            return self._found
+        self._seen = seen
         for side, other, inside in self._couples:
             nodes = np.flatnonzero(side.fixed.any(axis=1))[self._comm.rank :: self._comm.size]
             depth = self._depths(side.nodes[nodes], side.fixed[nodes], other, inside)
             k = int(np.argmax(depth)) if len(depth) else -1
             mine = (float(depth[k]), tuple(side.surface.X[nodes[k]].tolist())) if len(depth) else (-np.inf, ())
             worst = max(worst, *self._comm.allgather(mine))
+        self._found = worst
         return worst
 
     def _depths(self, x: Array, fixed: Bool, other: Target, inside: Inside | None) -> Array:

@@ -608,9 +608,10 @@ class ContactProblem:
         assert k is not None
         A.assemble()
         mine = np.arange(*A.getOwnershipRange(), dtype=np.int32)[:, None]
-        share = np.maximum(self.spring_share * self._spring_shares, LEAST_SPRING)
+        loose = self.ties is not None and self.ties.are_loose  # what sticks holds everything
+        share = np.maximum((0.0 if loose else self.spring_share) * self._spring_shares, LEAST_SPRING)
         A.setValuesRCV(mine, mine, (share * k.array_r)[:, None, None], _ADD)
-        if self.ties is not None and self.ties.acts:
+        if self.ties is not None and self.ties.acts and not loose:
             nodes = mine.reshape(-1, self.gdim)
             A.setValuesRCV(nodes, nodes, self.ties.springs(multigrid=self.spare_pattern), _ADD)
 
@@ -746,6 +747,48 @@ class ContactProblem:
         self.ties.catch(partial(self._holding_now, slides))
         self.bulk_forces.array[:] += self.ties.forces()
         self.add_contact(f)
+
+    def loosen_ties(self, f: PETSc.Vec) -> None:
+        """At the start of a solve: where pairs with friction stick, at least in part, and that holds what is tied, the first
+        step does without ties, which go where it leads (:meth:`tighten_ties`), and without springs: bodies may be carried
+        along by others, far from where they were, and next to nothing that held them back would be more than friction
+        bears. f, the residual, is brought up to date (collective)."""
+        rub, stick = self._rub_and_stick()
+        if self.ties is None or not rub.any() or not stick[rub].all():
+            return
+        if not self.ties.are_spare(self._holding_by_stick):
+            return
+        self.bulk_forces.array[:] -= self.ties.forces()
+        self.ties.release()
+        self.ties.are_loose = True
+        self.add_contact(f)
+
+    def _rub_and_stick(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """(pairs,) and (pairs,) which pairs with friction touch, and of which points stick (collective)."""
+        states = [pair.state.status if pair.friction else np.zeros(0, dtype=np.int8) for pair in self.pairs]
+        counts = np.array([[np.sum(s != OPEN), np.sum(s == STICK)] for s in states]).reshape(-1, 2)
+        rub, stick = sum_over(self.comm, counts).T > 0
+        return rub, stick
+
+    def _holding_by_stick(self, motions: Array) -> Array:
+        """(motions, motions) sum over the pairs of the mean over the closed area of 𝐦_T⊗𝐦_T where points stick, the relative
+        velocities along surfaces with friction that displacements (owned dofs, motions) are (collective)."""
+        total = np.zeros((motions.shape[1],) * 2)
+        for pair, v in zip(self.pairs, self._sliding(motions), strict=True):
+            closed = float((pair.j * (pair.state.status != OPEN)).sum())
+            stick = np.einsum("n,nkd,nld->kl", pair.j * (pair.state.status == STICK), v, v)
+            total += sum_over(self.comm, stick) / max(sum_over(self.comm, closed), 1e-300)
+        return total
+
+    def tighten_ties(self) -> None:
+        """After such a step: tie the pieces to where they are now; the bulk's forces, which are those before it, are brought
+        up to date (collective)."""
+        if self.ties is None or not self.ties.are_loose:
+            return
+        before = self.ties.anchor
+        self.ties.release()
+        self.ties.are_loose = False
+        self.bulk_forces.array[:] += self.ties.pull(before - self.ties.anchor)
 
     def move_ties(self, f: PETSc.Vec, bear: Array, *, softer: bool) -> bool:
         """Tie the pieces to where the ties bear so much, (pieces, motions) in N, by softer ties if need be; f, the residual,

@@ -40,6 +40,7 @@ GEOMETRIC = 3.0  # unless it is less than so many times the contact forces over 
 RUBS = (
     0.1  # of a motion, in the mean over the contact forces: what goes along surfaces with friction if it is no rolling
 )
+SPARE = 1e-3  # of a motion's square where points stick: from 2e-3 on as columns rock, wheels roll with 4e-4 at most
 HOLDS = 0.1  # of a motion's square, in the mean over what faces each other, from which on what touches holds it
 HELD = 1e-6  # norm over prescribed components of a rigid motion, one in the mean over the nodes, that is let be
 SAME = 0.1  # difference of two projections onto motions that count as the same
@@ -93,6 +94,7 @@ class Ties:
         borne: (pieces,) what ties bear in the last equilibrium, as a share of the contact forces.
         motions, ways: (ties, owned dofs) of the ties in use: nodal forces 𝐦, and displacements along them.
         softness: s, as a share of a tie's stiffness.
+        are_loose: whether neither they nor springs act in the next Newton step; they go where it leads.
     """
 
     def __init__(self, bodies: Bodies, diagonal: Array) -> None:
@@ -117,6 +119,7 @@ class Ties:
         self.motions: Array = np.zeros((0, len(diagonal)))
         self.ways: Array = np.zeros((0, len(diagonal)))
         self.softness = 1.0
+        self.are_loose = False
         # where the present solve began, and (pieces,) which something held then in some direction
         self._start: Array = self.anchor
         self._was_held: Flags = np.zeros(bodies.pieces, dtype=bool)
@@ -154,7 +157,7 @@ class Ties:
         """A solve begins: tie motions that next to nothing resisted in the last equilibrium, or before the first one those
         that what touches does not hold: of the squares of motions (owned dofs, motions) `holding` gives the mean of what it
         holds, (motions, motions) (collective)."""
-        self.borne[:], self.let_be[:], self.softness = 0.0, False, 1.0
+        self.borne[:], self.let_be[:], self.softness, self.are_loose = 0.0, False, 1.0, False
         self._start = self._bodies.get()
         self._was_held = np.abs(self.resistance).reshape(self._bodies.pieces, -1).max(axis=1, initial=0.0) > NEUTRAL
         if holding is None:
@@ -170,6 +173,17 @@ class Ties:
         R, admissible = self._admissible()
         self._tie(R, self._soft(admissible))
         return bool(np.abs(self._free - before).max(initial=0.0) > SAME)
+
+    def are_spare(self, holding: Callable[[Array], Array]) -> bool:
+        """Whether a Newton step may do without them: something resisted all that is not tied in the last equilibrium, and
+        what is tied slides where points stick: of the squares of motions (owned dofs, motions) `holding` gives the mean of
+        that, (motions, motions) (collective)."""
+        if not self.acts:
+            return bool(self.resistance.any())
+        w = self.ways.reshape(len(self.ways), len(self._piece), -1)
+        squares = sum_over(self._bodies.comm, np.einsum("n,kni,lni->kl", 1.0 / self._nodes[self._piece], w, w))
+        inverse = np.linalg.inv(np.linalg.cholesky(squares))
+        return bool(np.linalg.eigvalsh(inverse @ holding(self.ways.T) @ inverse.T)[0] >= SPARE)
 
     def catch(self, holding: Callable[[Array], Array]) -> None:
         """In the middle of a solve tie the pieces as well along the motions, of all of them together, that contact as it is

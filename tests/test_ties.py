@@ -438,3 +438,60 @@ def test_a_lintel_lies_on_two_bricks_under_its_weight(friction, swap):
     sign, bricks, beam = -1.0 if swap else 1.0, 0.025 * whole, 0.15 * whole
     for pair, borne in zip(problem.pairs, (beam / 2 + bricks, beam / 2 + bricks, -beam / 2, -beam / 2), strict=True):
         assert sign * pair.force()[1] == pytest.approx(borne, rel=2e-3)
+
+
+def conveyor(heights, friction, weight, order, cells, swap):
+    """Blocks on each other on a plate 3 m wide that is led, their weight `weight` E in N/m³, each a little stiffer and
+    narrower than the one below: the problem, the plate's displacement and the blocks' displacements."""
+    sides, bodies = [], []
+    lead, below = None, -0.3
+    for k, height in enumerate((0.3, *heights)):
+        ends = (-1.0, 2.0) if k == 0 else (0.1 * k, 1.0 - 0.05 * k)
+        size = [3 * cells + 1, 1] if k == 0 else [cells + k, 2]
+        domain = mesh.create_rectangle(
+            MPI.COMM_WORLD, [[ends[0], below], [ends[1], below + height]], size, mesh.CellType.quadrilateral
+        )
+        found = [
+            mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y))
+            for y in (below, below + height)
+        ]
+        facets, by = np.concatenate(found), np.repeat(np.int32([1, 2]), [len(f) for f in found])
+        tags = mesh.meshtags(domain, 1, facets[np.argsort(facets)], by[np.argsort(facets)])
+        V = fem.functionspace(domain, ("Lagrange", order, (2,)))
+        law, u = materials.neo_hookean(E * 3.0**k, 0.3), fem.Function(V)
+        if lead is None:
+            lead = fem.Constant(domain, np.zeros(2))
+            bcs = [fem.dirichletbc(lead, fem.locate_dofs_topological(V, 1, tags.find(1)), V)]
+            bodies.append(Body(u, law, bcs=bcs))
+        else:
+            down = fem.Constant(domain, np.array([0.0, -weight * E]))
+            bodies.append(Body(u, law, external=[(down, ufl.dx(domain))]))
+        sides.append((domain, tags))
+        below += height
+    pairs = [(Surface(*sides[k + 1], 1), Surface(*sides[k], 2)) for k in range(len(heights))]
+    contacts = [
+        Contact(*(pair[::-1] if swap else pair), friction=friction, name=f"{k}") for k, pair in enumerate(pairs)
+    ]
+    return ContactProblem(bodies, contacts=contacts), lead
+
+
+@pytest.mark.parametrize("heights, friction, weight, order, cells, swap", [
+    ((0.5,), 0.001, 1e-4, 1, 10, False), ((0.05,), 3e-4, 1e-3, 1, 10, False), ((0.5, 0.5, 0.5), 0.02, 5e-5, 2, 4, False),
+    ((0.5, 0.5, 0.5), 0.001, 2e-6, 1, 4, True), ((0.5, 0.5), 0.1, 1e-3, 2, 8, True),
+])  # fmt: skip
+def test_what_lies_on_a_body_that_is_moved_goes_with_it(heights, friction, weight, order, cells, swap):
+    """However little friction there is: to and fro by half a metre and more, in one increment each, as no force but friction
+    acts along the plate. A tie or spring that held a block back by a millionth of its stiffness would be more than friction
+    bears: blocks slid, up to 358 iterations with 6 rejected trials went by, or no step was found."""
+    problem, lead = conveyor(heights, friction, weight, order, cells, swap)
+    quasistatic.equilibrate(problem)
+    start = [body.u.x.array.copy() for body in problem.bodies.bodies]
+    stages = [quasistatic.Stage(lead, to, 1) for to in ((0.5, 0.0), (0.5, 0.2), (-0.5, 0.2))]
+    steps = list(quasistatic.march(problem, stages))
+    assert [step.rejected for step in steps] == [0] * 3
+    assert max(step.iterations for step in steps) <= 12
+    for body, before in zip(problem.bodies.bodies, start, strict=True):
+        moved = (body.u.x.array - before).reshape(-1, 2) - [-0.5, 0.2]
+        assert problem.comm.allreduce(np.abs(moved).max(initial=0.0), MPI.MAX) < 0.02 * sum(
+            heights
+        )  # settles as it goes
