@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.blocks import Blocks
-from dolfinx_mortar_al.law import OPEN
+from dolfinx_mortar_al.law import OPEN, SLIP
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import dot
@@ -21,6 +22,7 @@ from dolfinx_mortar_al.targets import DeformableTarget
 __all__ = ["PUSHED", "PairFindings"]
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 FINER = (
     "the target is finer than the contactor's integration points, which miss some of its facets: the pressure is "
@@ -53,10 +55,16 @@ BY_OVERLAP = (
 )
 BY_NORMALS = (
     "a corner or a rounded edge of the contactor with few facets rests on a smoother target, and pressure acts along the "
-    "contactor's normals: the force's direction is off by that share; refine the contactor there, swap contactor and target, "
-    'or take projection="closest"'
+    "contactor's normals: the force's direction is off by that share; refine the contactor there, or swap contactor and "
+    "target"
 )
 TURNED = 0.03  # of the force
+DIPS = (
+    "what slides dips into the target with the contactor's last facets, where pressures are largest and act along normals "
+    "that are not the target's, on fine meshes, too: friction is off by that share; compare with contactor and target "
+    'swapped, or with projection="closest"'
+)
+OF_FRICTION = 0.05  # of what friction bears in gross slip
 PATCHES = (
     "curved surfaces are in contact in patches, as the gaps between their facets are larger than what the pressure closes, "
     "and pressures are too large; "
@@ -155,25 +163,55 @@ class PairFindings(PairResults):
         largest of the zones', where the contactor turns more than the target does over a facet, as at a rounded corner on a
         flat surface (collective). There ν = −𝐧 is that of coarse facets; where the target turns more, as its corner on a flat
         contactor, 𝐧 is the better one."""
-        if not isinstance(self.target, DeformableTarget) or not self.target.uses_rays or self.target.is_contactor:
+        if not self._has_two_normals:
             return None
-        closed = np.flatnonzero(self.state.status != OPEN)
-        at, facet = self.at.take(closed), self.integration.facet[closed]
-        normal = surface_normal(at.a)
-        normal /= (np.sqrt(dot(normal, normal)) * np.where(dot(normal, at.ν) < 0, -1.0, 1.0))[:, None]
-        pressed = self.j[closed] * self.state.p[closed]
-        turns = self._contactor.turns[self._own[facet]] > self.target.surface.turns[at.point.facet]
-        zone = self._contactor.zones(self._touched())
-        parts = np.column_stack([(pressed * turns)[:, None] * (at.ν - normal), pressed])
-        sums = np.zeros((zone.max(initial=-1) + 1, parts.shape[1]))
-        np.add.at(sums, zone[self._own[facet]], parts)
-        sums = sum_over(self.comm, sums)
-        force = sums[:, -1]
-        bears = force > TURNED * force.sum()  # errors of the others are below what is said of one zone
-        share = float((np.linalg.norm(sums[bears, :-1], axis=1) / force[bears]).max(initial=0.0))
+        share = self._share_off_normal(
+            lambda own, facet: self._contactor.turns[own] > self._target_surface.turns[facet]
+        )
         if share < TURNED:
             return None
         return Finding(f"{self.name}: share of the force that is off the target's normal", share, (), BY_NORMALS, False)
+
+    def dipping_friction(self, μ: float) -> Finding | None:
+        """The same in the contactor's last facets, as a share of friction of the coefficient μ, where most of what presses
+        slips: a front that dips into a target which is smooth there (collective)."""
+        pressed, slips = self.j * self.state.p, self.state.status == SLIP
+        slipping, force = sum_over(self.comm, np.array([pressed @ slips, pressed.sum()]))
+        if not self._has_two_normals or μ == 0.0 or slipping <= force / 2:
+            return None
+        share = self._share_off_normal(
+            lambda own, facet: self._contactor.at_ends[own] & ~self._target_surface.at_ends[facet]
+        )
+        if share < OF_FRICTION * μ:
+            return None
+        return Finding(f"{self.name}: share of the friction that is off", share / μ, (), DIPS, False)
+
+    @property
+    def _has_two_normals(self) -> bool:
+        """Whether forces act along the contactor's normal while the target has one of its own."""
+        target = self.target
+        return isinstance(target, DeformableTarget) and target.uses_rays and not target.is_contactor
+
+    @property
+    def _target_surface(self) -> GatheredFacets:
+        assert isinstance(self.target, DeformableTarget)
+        return self.target.surface
+
+    def _share_off_normal(self, counts: Callable[[Index, Index], NDArray[np.bool_]]) -> float:
+        """The largest mean over a connected zone of p (ν − ν₂) over that of p, ν₂ the target's normal; of facets of the
+        contactor and the target's that they face (n,) `counts` says which do (collective)."""
+        closed = np.flatnonzero(self.state.status != OPEN)
+        at, own = self.at.take(closed), self._own[self.integration.facet[closed]]
+        normal = surface_normal(at.a)
+        normal /= (np.sqrt(dot(normal, normal)) * np.where(dot(normal, at.ν) < 0, -1.0, 1.0))[:, None]
+        pressed, zone = self.j[closed] * self.state.p[closed], self._contactor.zones(self._touched())
+        parts = np.column_stack([(pressed * counts(own, at.point.facet))[:, None] * (at.ν - normal), pressed])
+        sums = np.zeros((zone.max(initial=-1) + 1, parts.shape[1]))
+        np.add.at(sums, zone[own], parts)
+        sums = sum_over(self.comm, sums)
+        force = sums[:, -1]
+        bears = force > TURNED * force.sum()  # errors of the others are below what is said of one zone
+        return float((np.linalg.norm(sums[bears, :-1], axis=1) / force[bears]).max(initial=0.0))
 
     def patches(self) -> Finding | None:
         """What is open amid a contact of many facets, as a share of it, where straight facets of curved surfaces leave larger

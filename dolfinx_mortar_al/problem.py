@@ -538,6 +538,7 @@ class ContactProblem:
                 pair.fine_multiplier(),
             ]
             looks += [*pair.unfelt(), *pair.far_augmentation(), pair.turned_force()]
+            looks += [pair.dipping_friction(pair.friction_coefficient)]
         return [finding for finding in looks if finding is not None] + self._let_go() + self._tied()
 
     def _tied(self) -> list[Finding]:

@@ -421,6 +421,11 @@ class GatheredFacets:
         return flag
 
     @cached_property
+    def at_ends(self) -> NDArray[np.bool_]:
+        """(nf,) which facets have a node where the surface ends or has a sharp corner."""
+        return np.asarray(self.ends(SHARP)[self.facets].any(axis=1))
+
+    @cached_property
     def turns(self) -> Array:
         """(nf,) by how much the surface turns over each facet (rad): between the mean normals at its corners."""
         normal = self.normals_at_corners

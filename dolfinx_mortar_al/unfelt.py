@@ -43,6 +43,10 @@ MISSED = (
     "the surfaces overlap by more than integration points are apart; take smaller steps, refine the contactor, swap "
     'contactor and target, or take integration="segments"'
 )
+IN_OBSTACLE = (
+    "the contactor lies in the obstacle between its integration points, or within facets that are in contact, which holds it "
+    "out on the average; refine it there, raise quadrature_degree, or take smaller steps"
+)
 BETWEEN = (
     "the surfaces overlap between the integration points, which do not feel it; refine the contactor, raise "
     'quadrature_degree, or take integration="segments"'
@@ -54,7 +58,8 @@ ON_AVERAGE = (
 FOLDS = "a membrane has folded over in the step, which it does in compression alone; take smaller steps"
 SHARE = 0.02  # of the longer facet: what overlaps by less is an error of the mesh
 FOLDED = -0.5  # cosine of the normals of a facet and its neighbour, or in its middle and elsewhere on it
-DEEPEST = 0.25  # of the longer facet: no error of the mesh
+DEEPEST = 0.25  # of the longer facet: no error of the mesh,
+TOLD = DEEPEST / 2  # and what is said: in contact that is right nodes are .1 deep at most (docs/robustness.md)
 
 
 @dataclass(frozen=True)
@@ -267,9 +272,7 @@ class Unfelt:
         passed = points.silent & other.passed(points.x0, points.x)
         suspect = passed.copy()
         if look_deep:
-            least = np.where(points.silent, SHARE / 2, DEEPEST / 2) * np.maximum(
-                points.extent, other.target.extents.min()
-            )
+            least = np.where(points.silent, SHARE / 2, TOLD / 2) * np.maximum(points.extent, other.target.extents.min())
             suspect |= other.depth_behind(points.x) > np.maximum(least - 2 * other.bulge(), 0.0)
         points, passed = points.take(suspect), passed[suspect]
         if not any_over(self._comm, suspect.any()):
@@ -330,6 +333,7 @@ class Unfelt:
         if not is_missed and deepest <= SHARE:
             return []
         meaning = MISSED if is_missed else BETWEEN if is_silent else ON_AVERAGE
+        meaning = IN_OBSTACLE if isinstance(self._target, RigidTarget) else meaning
         return [Finding(f"{self._name}: overlap that is not felt (facets)", deepest, place, meaning, is_missed)]
 
 
@@ -339,4 +343,5 @@ def _found(points: _Points, passed: Bool, depth: Array, silent: Bool, reach: Arr
     and deeper than integration points are away, `reach` (n,)."""
     far = depth > DEEPEST * longer
     missed = points.loose & far & (depth > reach)
-    return _Found(points.X, passed, np.where(silent | far, depth, 0.0) / longer, missed, silent)
+    told = silent | (depth > TOLD * longer)
+    return _Found(points.X, passed, np.where(told, depth, 0.0) / longer, missed, silent)

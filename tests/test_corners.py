@@ -319,6 +319,24 @@ def test_errors_of_forces_that_cancel_between_zones_are_said():
 
 
 @pytest.mark.one_rank
+def test_friction_that_a_dipping_front_takes_is_said():
+    """A block in gross slip on a slab as soft as it feels less than μ times what presses it, as the pressure of its front
+    facet acts along that one's normal: by the share that is said, in the mean over its way across the slab's facets, to .03
+    of friction; nothing is said below .05."""
+    drag = [Stage("press", 2, (0.0, -0.06)), Stage("drag", 6, (0.3, -0.06))]
+    model = Model(block_on_slab(drag, swap=False, sides=False, friction=0.3, end=0.9, cells=(8, 24)))
+    said, off = [], []
+    for k, stage in enumerate(drag):
+        for step in quasistatic.march(model.problem, model.set_load(k), to=1.0, increments=stage.increments, start=0.0):
+            fx, fy = model.pair.force()
+            if model.pair.stick_fraction() == 0.0:
+                said.append(sum(f.value for f in step.findings if "friction that is off" in f.name))
+                off.append(1.0 - abs(fx / fy) / 0.3)
+    assert len(off) >= 4 and np.mean(off) > 0.05
+    assert np.mean(said) == pytest.approx(np.mean(off), abs=0.03)
+
+
+@pytest.mark.one_rank
 def test_faces():
     """A cube's vertex has three; a polygon of twelve sides is round, one of eight has corners."""
     face, corner = _faces(np.array([7, 3, 7, 7]), np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, 0], [0, 0, 1]]))
