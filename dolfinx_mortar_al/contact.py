@@ -545,6 +545,7 @@ class ContactPair(PairFindings):
             self._doubt(self.law.μ)
         self._hold_flat()
         self.blocks.holds_facets = False
+        self._hold_shares(False)
         self._divide()
         self.active.begin(self._converged.closed[self.integration.facet])
         if self.target_end is not None:
@@ -680,10 +681,17 @@ class ContactPair(PairFindings):
 
     def hold_facets(self) -> bool:
         """Let what opening and closing decides for whole facets, which are held smooth and which have a part in a sharp
-        corner, be as it is from now on in a solve; whether there may be any that are not held yet."""
-        new = (self.blocks.is_smoothing or self.blocks.corners is not None) and not self.blocks.holds_facets
+        corner, and how much points count that see the target at a slant, be as it is from now on in a solve; whether there
+        may be any that are not held yet."""
+        decides = self.blocks.is_smoothing or self.blocks.corners is not None or self.segments is not None
+        new = decides and not self.blocks.holds_facets
         self.blocks.holds_facets = True
+        self._hold_shares(True)
         return new
+
+    def _hold_shares(self, holds: bool) -> None:
+        if isinstance(self.kinematics, PositionLevel):
+            self.kinematics.holds_shares = holds
 
     def hold_turned(self) -> bool:
         """Let points stick that slip to and fro, once per Newton iteration; whether there are any, on any rank."""

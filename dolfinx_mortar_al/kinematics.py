@@ -299,6 +299,8 @@ class PositionLevel(Kinematics):
     level = 0.0
     #: share of points that face nothing
     beyond = 1.0
+    #: whether shares stay as they are: at kinks of the target they jump
+    holds_shares = False
     # (n,) derivative of the share with respect to the cosine between ray and target's normal
     _slope: Array = np.zeros(0)
 
@@ -326,7 +328,8 @@ class PositionLevel(Kinematics):
     def count(self) -> None:
         if self.beyond < 1.0:
             assert isinstance(self.at, RayHit)
-            self.share, self._slope = self.at.frontal(self.beyond)
+            share, slope = self.at.frontal(self.beyond)
+            self.share, self._slope = (self.share, 0.0 * slope) if self.holds_shares else (share, slope)
 
     @property
     def slanted(self) -> Bool:

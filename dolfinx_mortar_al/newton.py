@@ -314,7 +314,7 @@ class NewtonSolver:
                 f"each step would leave an inverted cell (det F ≤ 0), however short; forces{self._worst_place()[1:]}"
             )
             return _Reason.DIVERGED_LOCAL_MIN
-        if returns or self._stands_still(pattern):
+        if returns or self._stands_still(pattern) or self._alternates(pattern):
             self._cycles += 1
             if self._cycles > MAX_CYCLES:
                 where = (
@@ -336,6 +336,13 @@ class NewtonSolver:
         last = [max(norms) for norms in self.result.norms[-3:]]
         same = len(last) == 3 and max(last) - min(last) <= STILL * max(last)
         return same and self._patterns[-2:] == [pattern, pattern]
+
+    def _alternates(self, pattern: int) -> bool:
+        """Whether Newton goes to and fro between two residuals while no point changes its state."""
+        last = [max(norms) for norms in self.result.norms[-4:]]
+        if len(last) < 4 or self._patterns[-3:] != [pattern] * 3:
+            return False
+        return max(abs(last[2] - last[0]), abs(last[3] - last[1])) <= STILL * max(last)
 
     def _no_nearer(self, pattern: int) -> bool:
         """Whether the residual is hardly smaller than when this contact pattern was there last."""
