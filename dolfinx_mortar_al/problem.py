@@ -754,10 +754,10 @@ class ContactProblem:
         step does without ties, which go where it leads (:meth:`tighten_ties`), and without springs: bodies may be carried
         along by others, far from where they were, and next to nothing that held them back would be more than friction
         bears. f, the residual, is brought up to date (collective)."""
-        rub, stick = self._rub_and_stick()
-        if self.ties is None or not rub.any() or not stick[rub].all():
+        if self.ties is None:
             return
-        if not self.ties.are_spare(self._holding_by_stick):
+        rub, stick = self._rub_and_stick()
+        if not rub.any() or not stick[rub].all() or not self.ties.are_spare(self._holding_by_stick):
             return
         self.bulk_forces.array[:] -= self.ties.forces()
         self.ties.release()
