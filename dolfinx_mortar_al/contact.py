@@ -679,6 +679,11 @@ class ContactPair(PairFindings):
         changed = self.active.decide(self.state, self.kinematics, residual, self.unit, self.epsilon.normal)
         return any_over(self.comm, changed)
 
+    @property
+    def obstacle_moves(self) -> bool:
+        """Whether the target is a rigid obstacle that is elsewhere than in the last converged state."""
+        return isinstance(self.target, RigidTarget) and not self.target.is_at(self._converged.place)
+
     def hold_facets(self) -> bool:
         """Let what opening and closing decides for whole facets, which are held smooth and which have a part in a sharp
         corner, and how much points count that see the target at a slant, be as it is from now on in a solve; whether there

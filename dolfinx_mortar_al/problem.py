@@ -750,11 +750,11 @@ class ContactProblem:
         self.add_contact(f)
 
     def loosen_ties(self, f: PETSc.Vec) -> None:
-        """At the start of a solve: where pairs with friction stick, at least in part, and that holds what is tied, the first
-        step does without ties, which go where it leads (:meth:`tighten_ties`), and without springs: bodies may be carried
-        along by others, far from where they were, and next to nothing that held them back would be more than friction
-        bears. f, the residual, is brought up to date (collective)."""
-        if self.ties is None:
+        """At the start of a solve in which supports or obstacles move: where pairs with friction stick, at least in part, and
+        that holds what is tied, the first step does without ties, which go where it leads (:meth:`tighten_ties`), and
+        without springs: bodies may be carried along, far from where they were, and next to nothing that held them back
+        would be more than friction bears. f, the residual, is brought up to date (collective)."""
+        if self.ties is None or not self._supports_move():
             return
         rub, stick = self._rub_and_stick()
         if not rub.any() or not stick[rub].all() or not self.ties.are_spare(self._holding_by_stick):
@@ -763,6 +763,12 @@ class ContactProblem:
         self.ties.release()
         self.ties.are_loose = True
         self.add_contact(f)
+
+    def _supports_move(self) -> bool:
+        """Whether prescribed values, or rigid obstacles, have moved since the last equilibrium (collective)."""
+        assert self.ties is not None
+        touch = max((pair.kinematics.touch for pair in self.pairs), default=0.0)
+        return any(pair.obstacle_moves for pair in self.pairs) or self.ties.supports_move(touch)
 
     def _rub_and_stick(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(pairs,) and (pairs,) which pairs with friction touch, and of which points stick (collective)."""

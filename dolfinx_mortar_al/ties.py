@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.pieces import rigid_motions
-from dolfinx_mortar_al.reductions import sum_over
+from dolfinx_mortar_al.reductions import max_over, sum_over
 
 __all__ = ["PUSHED", "Bearing", "Ties"]
 
@@ -173,6 +173,13 @@ class Ties:
         R, admissible = self._admissible()
         self._tie(R, self._soft(admissible))
         return bool(np.abs(self._free - before).max(initial=0.0) > SAME)
+
+    def supports_move(self, touch: float) -> bool:
+        """Whether prescribed values are others than in the last equilibrium, by more than `touch` (m), before ties have moved
+        (collective)."""
+        way = self._bodies.get() - self._bodies.unmet() - self.anchor
+        moved = np.abs(way[self._prescribed.ravel()]).max(initial=0.0)
+        return max_over(self._bodies.comm, float(moved)) > touch
 
     def are_spare(self, holding: Callable[[Array], Array]) -> bool:
         """Whether a Newton step may do without them: something resisted all that is not tied in the last equilibrium, and
