@@ -175,9 +175,11 @@ class PairFindings(PairResults):
     def dipping_friction(self, μ: float) -> Finding | None:
         """The same in the contactor's last facets, as a share of friction of the coefficient μ, where most of what presses
         slips: a front that dips into a target which is smooth there (collective)."""
+        if not self._has_two_normals or μ == 0.0:
+            return None
         pressed, slips = self.j * self.state.p, self.state.status == SLIP
         slipping, force = sum_over(self.comm, np.array([pressed @ slips, pressed.sum()]))
-        if not self._has_two_normals or μ == 0.0 or slipping <= force / 2:
+        if slipping <= force / 2:
             return None
         share = self._share_off_normal(
             lambda own, facet: self._contactor.at_ends[own] & ~self._target_surface.at_ends[facet]
