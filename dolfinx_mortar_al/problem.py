@@ -694,12 +694,16 @@ class ContactProblem:
         over the normal parts count (collective)."""
         total = np.zeros((motions.shape[1],) * 2)
         for pair, v, slide in zip(self.pairs, self._relative(motions), slides, strict=True):
-            area = pair.j * (pair.state.status != OPEN)
-            v = self._normal(pair, v) if slide else v
-            total += sum_over(self.comm, np.einsum("n,nkd,nld->kl", area, v, v)) / max(
-                sum_over(self.comm, float(area.sum())), 1e-300
-            )
+            total += self._mean(pair, self._normal(pair, v) if slide else v, pair.state.status != OPEN)
         return total
+
+    @staticmethod
+    def _mean(pair: ContactPair, v: Array, counts: NDArray[np.bool_]) -> Array:
+        """(motions, motions) the mean over the area that is closed of 𝐯⊗𝐯, of relative velocities v (n, motions, ·), zero at
+        points that do not count by `counts` (n,) (collective)."""
+        closed = float(pair.j @ (pair.state.status != OPEN))
+        products = np.einsum("n,nkd,nld->kl", pair.j * counts, v, v)
+        return np.asarray(sum_over(pair.comm, products) / max(sum_over(pair.comm, closed), 1e-300))
 
     @staticmethod
     def _normal(pair: ContactPair, v: Array) -> Array:
@@ -782,9 +786,7 @@ class ContactProblem:
         velocities along surfaces with friction that displacements (owned dofs, motions) are (collective)."""
         total = np.zeros((motions.shape[1],) * 2)
         for pair, v in zip(self.pairs, self._sliding(motions), strict=True):
-            closed = float((pair.j * (pair.state.status != OPEN)).sum())
-            stick = np.einsum("n,nkd,nld->kl", pair.j * (pair.state.status == STICK), v, v)
-            total += sum_over(self.comm, stick) / max(sum_over(self.comm, closed), 1e-300)
+            total += self._mean(pair, v, pair.state.status == STICK)
         return total
 
     def tighten_ties(self) -> None:
