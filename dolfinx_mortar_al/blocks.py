@@ -328,7 +328,7 @@ class Blocks:
         return max(self.points.facets.size, 1), len(self.target.facets), len(self.target.facets)
 
     def pattern(self, couples: Index, kinematics: Kinematics) -> list[list[tuple[Index, Index, Array]]]:
-        """For UU, UΛ, ΛU and ΛΛ: zero element matrices with global blocks, wherever the given couples have entries."""
+        """For UU, UΛ, ΛU and ΛΛ: zeros (m, 1, ·, 1, ·) with global blocks, wherever the given couples have entries."""
         facet, target, more = np.unravel_index(couples, self._couple_shape)
         on_target, d, m = self.target.blocks[self.target.facets], self.gdim, self.multiplier.components
         rows = [(facet, self.contactor, d), (target, on_target, d)]
@@ -350,11 +350,16 @@ def _in_global_axes(nodal: Array) -> Array:
 
 
 def _zeros(rows: tuple[Index, Index, int], columns: tuple[Index, Index, int]) -> tuple[Index, Index, Array]:
-    """An element matrix of zeros for each different pair of facets (m,), with their blocks; `rows` and `columns` are the
-    facets, the blocks (nf, nodes) of all facets, and the components."""
+    """A matrix of zeros for each different pair of nodes of the pairs of facets (m,); `rows` and `columns` are the facets,
+    the blocks (nf, nodes) of all facets, and the components."""
     (i, blocks_i, a), (j, blocks_j, b) = rows, columns
     i, j = np.divmod(np.unique(i * len(blocks_j) + j), max(len(blocks_j), 1))
-    return blocks_i[i], blocks_j[j], np.zeros((len(i), blocks_i.shape[1], a, blocks_j.shape[1], b))
+    columns_end = blocks_j.max(initial=0) + 1
+    pairs = np.unique(
+        blocks_i[i][:, :, None] * columns_end + blocks_j[j][:, None, :]
+    )  # each is in many pairs of facets
+    first, second = np.divmod(pairs, columns_end)
+    return first[:, None], second[:, None], np.zeros((len(pairs), 1, a, 1, b))
 
 
 def apply_columns(C: Array, B: Array, d: int) -> Array:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.block_preconditioner import SURFACE, BlockPreconditioner, PatchedFactors
-from dolfinx_mortar_al.contact_patch import PATCH_DEFAULTS
+from dolfinx_mortar_al.contact_patch import patch_defaults
 from dolfinx_mortar_al.multigrid import MULTIGRID_DEFAULTS
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.reductions import min_over
@@ -97,7 +97,7 @@ class LinearSolver:
 
     def _configure_iterative(self, ksp: PETSc.KSP) -> None:
         self.options.default("", MULTIGRID_DEFAULTS)
-        self.options.default(SURFACE, PATCH_DEFAULTS)
+        self.options.default(SURFACE, patch_defaults(self.problem))
         self._blocks = BlockPreconditioner(self.problem, self._prefix)
         ksp.setType("fgmres")
         ksp.setGMRESRestart(RESTART)
@@ -264,7 +264,7 @@ class LinearSolver:
             self._blocks.renew_contact(matrix.getNestSubMatrix(0, 0))
         elif self.is_solid and self.problem.bodies.layout.sizes[1] > PATCHED_ABOVE:
             if self._patched is None:
-                self.options.default(SURFACE, PATCH_DEFAULTS)
+                self.options.default(SURFACE, patch_defaults(self.problem))
                 self._patched = PatchedFactors(self.problem, self._prefix, self._apply_factors)
             self._patched.renew_contact(matrix.getNestSubMatrix(0, 0))
             self._is_patched = True

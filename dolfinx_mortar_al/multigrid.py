@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.p_multigrid import FirstOrder
+from dolfinx_mortar_al.petsc_blocks import row_by_row
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.reductions import any_over
 
@@ -73,7 +74,7 @@ class Multigrid:
         """Galerkin's, from the coarsest level up."""
         operators: list[PETSc.Mat] = []
         for P in reversed(self._interpolations):
-            A = A.ptap(P).copy()  # a product would keep the matrix of the finest level alive
+            A = row_by_row(A.ptap(P).copy())  # a product would keep the matrix of the finest level alive
             operators.insert(0, A)
         return operators
 

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-__all__ = ["Layout", "empty_matrix", "insert", "insert_vector", "matrix_with_pattern", "without_zeros"]
+__all__ = ["Layout", "empty_matrix", "insert", "insert_vector", "matrix_with_pattern", "row_by_row", "without_zeros"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -64,6 +64,13 @@ def matrix_with_pattern(layout: Layout, pattern: tuple[Index32, Index32]) -> PET
     A.setType(PETSc.Mat.Type.AIJ)
     A.setBlockSize(layout.components)
     A.setPreallocationCSR((indptr, indices, np.zeros(len(indices))))
+    return row_by_row(A)
+
+
+def row_by_row(A: PETSc.Mat) -> PETSc.Mat:
+    """A, whose products go through each row by itself from now on. PETSc takes rows of the same pattern together, as a node's
+    are, and needs twice the time (docs/scaling.md)."""
+    A.setOption(PETSc.Mat.Option.USE_INODES, False)
     return A
 
 

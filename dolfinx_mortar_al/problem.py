@@ -28,7 +28,7 @@ from dolfinx_mortar_al.law import OPEN, SLIP, STICK
 from dolfinx_mortar_al.load import Loads
 from dolfinx_mortar_al.monitors import Finding, Monitor
 from dolfinx_mortar_al.motion import Motion
-from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector, matrix_with_pattern
+from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector, matrix_with_pattern, row_by_row
 from dolfinx_mortar_al.pieces import Piece
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
@@ -480,7 +480,7 @@ class ContactProblem:
             if self._outgrown:
                 wider = self.contact_share.copy()
                 wider.axpy(1.0, self.blocks[0][0], structure=_DIFFERENT)
-                self.blocks[0][0] = wider
+                self.blocks[0][0] = row_by_row(wider)
                 self._make_nest()
                 self._outgrown = False
             A = self.blocks[0][0]

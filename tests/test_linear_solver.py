@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import scaling
 
 from dolfinx_mortar_al import NewtonSolver, contact_iteration, linear_solver, quasistatic
-from dolfinx_mortar_al.contact_patch import PATCH_DEFAULTS, ContactPatch
+from dolfinx_mortar_al.contact_patch import ContactPatch, patch_defaults
 from dolfinx_mortar_al.linearised_bulk import LinearisedBulk
 from dolfinx_mortar_al.multigrid import Multigrid
 from dolfinx_mortar_al.p_multigrid import FirstOrder
@@ -221,17 +221,18 @@ def test_what_semi_smooth_steps_leave_is_freed_on_all_ranks():
     assert resident(30) - warm < 40.0
 
 
-def test_contacts_patch_leaves_no_residual_in_it():
+@pytest.mark.parametrize("friction", [0.3, 0.0])
+def test_contacts_patch_leaves_no_residual_in_it(friction):
     """Its solution for any right-hand side fulfils the gaps' equations, and those of its nodes; what it leaves elsewhere is
     what it says, with contact as assembled and as the linearised bulk has it."""
-    problem, top = scaling.build(scaling.Row(400))
+    problem, top = scaling.build(scaling.Row(400, friction=friction))
     newton = solver(problem, "iterative")
     for _ in scaling.press_and_drag(problem, top, newton, steps=(1, 1)):
         pass
     problem.assemble_jacobian()
-    for name, value in PATCH_DEFAULTS.items():
-        PETSc.Options("patch_")[name] = value
-    patch, bulk = ContactPatch(problem, "patch_"), LinearisedBulk(problem)
+    for name, value in patch_defaults(problem).items():
+        PETSc.Options(f"patch_{friction}_")[name] = value
+    patch, bulk = ContactPatch(problem, f"patch_{friction}_"), LinearisedBulk(problem)
     for matrix in (problem.matrix, bulk.renew()):
         patch.renew(matrix.getNestSubMatrix(0, 0))
         b, x, r, left = *(problem.x.duplicate() for _ in range(3)), problem.bodies.layout.vector()
