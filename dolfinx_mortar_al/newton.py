@@ -32,6 +32,7 @@ NOT_FINITE = -4  # a reason that PETSc has renamed
 FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane's stiffness in its own plane
 LEAST_TENSION = 1e-12  # so much stays on what no force has met yet, lest the Jacobian be singular
 LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, as a share of the largest pressure
+TRAPPED = 4  # times that a step is halved lest cells be inverted: half of the one before is taken then, once in a solve
 LONGEST = 4.0  # target facets that a closed point may move over the target in one iteration
 UNSUITABLE = (56, 60, 62, 86, 92)  # PETSc's error codes where a solver does not take the matrix, or is not known
 ROUND_OFF = 100.0  # multiples of the tolerance in which a residual that stands still counts as round-off
@@ -115,6 +116,7 @@ class NewtonSolver:
         self.linear = LinearSolver(problem, prefix)
         self.contact_iteration = ContactIteration(problem, self.linear, self._size, LONGEST)
         self._bounds = FrictionBounds(problem)
+        self._before, self._taken = problem.x.duplicate(), problem.x.duplicate()  # the last iteration's x and step
         self.snes = self._create()
         problem.linear_solver = self.linear
         self.linear.log()
@@ -156,6 +158,8 @@ class NewtonSolver:
         self._status: list[NDArray[np.int8]] = []  # of the pairs' points at the last of them
         self._cycles, self._damping, self._whole_step = 0, 1.0, True
         self._held_back = 0  # iterations in a row whose steps were shortened lest cells be inverted
+        # whether half of a step may be taken back, that of the last iteration is known, and it has been done in vain
+        self._may_return, self._knows_step, self._trapped = path is None, False, False
         self._law_since, self._set_since = 0, 0
         self._bounds.begin()
         self._moves, self._places = 0, Places(LONGEST)
@@ -309,7 +313,7 @@ class NewtonSolver:
         pattern = self.problem.contact_pattern()
         self._damping = 1.0
         returns = pattern in self._patterns[:-1] and pattern != self._patterns[-1] and self._no_nearer(pattern)
-        if not returns and self._stands_still(pattern) and self._held_back >= HELD_BACK:
+        if self._trapped or (not returns and self._stands_still(pattern) and self._held_back >= HELD_BACK):
             self.result.message = (
                 f"each step would leave an inverted cell (det F ≤ 0), however short; forces{self._worst_place()[1:]}"
             )
@@ -447,6 +451,10 @@ class NewtonSolver:
                     break
                 length /= 2
                 p.bodies.set(xu.array_r - length * yu.array_r)
+        if n >= TRAPPED and self._may_return and self._knows_step:
+            self._return_half_way(x, y)
+            return True
+        self._trapped |= n >= TRAPPED and self._path is None and not self._may_return
         self._whole_step = length == 1.0
         if self._path is not None:
             self._path.load.number += length * change
@@ -454,7 +462,17 @@ class NewtonSolver:
             y.scale(length)
         p.tighten_ties()
         improved = self._path is None and not p.tension and self._improve(x, y, length)
+        x.copy(self._before)
+        y.copy(self._taken)
+        self._knows_step = True
         return improved or length < 1.0 or self._path is not None
+
+    def _return_half_way(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Let x − y be half way to x in the last iteration's step: that has left a cell so little of its volume that steps
+        from x would invert it, however short."""
+        self._may_return, self._held_back, self._whole_step = False, 0, False
+        y.waxpy(-1.0, self._before, x)
+        y.axpy(0.5, self._taken)
 
     def _improve(self, x: PETSc.Vec, y: PETSc.Vec, share: float) -> bool:
         """Let contact settle on the linearised bulk; whether the step x ← x − y is another than that `share` of Newton's now.
