@@ -315,7 +315,8 @@ class Bodies:
         """(pieces,) largest diagonal entry of the stiffness (N/m) on each piece (collective)."""
         largest = np.zeros(self.pieces)
         for body, first, diagonal in zip(self.bodies, self.first_piece, diagonals, strict=True):
-            np.maximum.at(largest, np.repeat(body.piece + first, self.gdim), diagonal.x.array)
+            # what is no number is not compared: a pair says so, or Newton
+            np.fmax.at(largest, np.repeat(body.piece + first, self.gdim), diagonal.x.array)
         return max_over(self.comm, largest)
 
     def diameters(self) -> Array:

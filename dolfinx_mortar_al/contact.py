@@ -371,9 +371,11 @@ class ContactPair(PairFindings):
             (f"target ({self.contact.target_name})", target),
         ):
             if not stiffness > 0:
+                why = "has no internal virtual work on its cells, or with the wrong sign"
+                if np.isnan(stiffness):
+                    why = "or its derivative is not a number there: a division by zero, a root or logarithm of too little?"
                 raise ValueError(
-                    f"{self.name}: the {side} meets a stiffness of {stiffness:.3g} Pa/m in the start state: F has no "
-                    "internal virtual work on its cells, or with the wrong sign"
+                    f"{self.name}: the {side} meets a stiffness of {stiffness:.3g} Pa/m in the start state: F {why}"
                 )
         return contactor, target
 

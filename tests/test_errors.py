@@ -123,6 +123,17 @@ def test_parameters_must_be_positive(domain, name, value):
         pair(domain, **{name: value})
 
 
+def test_a_form_that_is_no_number_at_the_start(domain):
+    """Without a word of NumPy's about it."""
+    V = fem.functionspace(domain[0], ("Lagrange", 1, (2,)))
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    F = ufl.inner(ufl.grad(u), ufl.grad(v)) / ufl.sqrt(ufl.dot(u, u)) * ufl.dx
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ValueError, match=r"stiffness of nan .* F or its derivative is not a number there"):
+            ContactProblem(F, u, contacts=[pair(domain)])
+
+
 def test_too_few_gauss_points(domain):
     with pytest.raises(ValueError, match="quadrature_degree = 1 has too few points"):
         problem_on(domain, pair(domain, quadrature_degree=1))
