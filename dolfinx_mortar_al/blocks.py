@@ -355,9 +355,8 @@ def _zeros(rows: tuple[Index, Index, int], columns: tuple[Index, Index, int]) ->
     (i, blocks_i, a), (j, blocks_j, b) = rows, columns
     i, j = np.divmod(np.unique(i * len(blocks_j) + j), max(len(blocks_j), 1))
     columns_end = blocks_j.max(initial=0) + 1
-    pairs = np.unique(
-        blocks_i[i][:, :, None] * columns_end + blocks_j[j][:, None, :]
-    )  # each is in many pairs of facets
+    # each pair of nodes is in many pairs of facets
+    pairs = np.unique(blocks_i[i][:, :, None] * columns_end + blocks_j[j][:, None, :])
     first, second = np.divmod(pairs, columns_end)
     return first[:, None], second[:, None], np.zeros((len(pairs), 1, a, 1, b))
 

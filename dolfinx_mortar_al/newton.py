@@ -462,9 +462,10 @@ class NewtonSolver:
             y.scale(length)
         p.tighten_ties()
         improved = self._path is None and not p.tension and self._improve(x, y, length)
-        x.copy(self._before)
-        y.copy(self._taken)
-        self._knows_step = True
+        if self._may_return:
+            x.copy(self._before)
+            y.copy(self._taken)
+            self._knows_step = True
         return improved or length < 1.0 or self._path is not None
 
     def _return_half_way(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
