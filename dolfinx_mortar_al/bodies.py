@@ -21,7 +21,7 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.foreseen_pressure import ForeseenPressure
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
-from dolfinx_mortar_al.moduli import yielding_share
+from dolfinx_mortar_al.moduli import doubt_order, yielding_share
 from dolfinx_mortar_al.petsc_blocks import Layout
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed, agreed_on_group
@@ -445,6 +445,7 @@ class Bodies:
             diagonal.x.scatter_forward()
             diagonals.append(diagonal)
             self.yielding.append(yielding_share(body.space, A))
+            doubt_order(self.yielding[-1], f"u[{k}]")
             self.yielding[-1].x.array[:] *= diagonal.x.array
             rows, columns = A.getValuesCSR()[:2]
             A.destroy()  # the pattern takes less memory

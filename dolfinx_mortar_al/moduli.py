@@ -12,6 +12,8 @@ give G and λ, and E' = 4 G (1 − G/M).
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from dolfinx import fem
 from dolfinx.la import InsertMode
@@ -19,10 +21,13 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-__all__ = ["yielding_share"]
+from dolfinx_mortar_al.monitors import ModelWarning
+
+__all__ = ["doubt_order", "yielding_share"]
 
 Array = NDArray[np.float64]
 
+LOCKS = 0.49  # Poisson's ratio: from there on cells of order 1 are too stiff by a quarter and more where a few bend or bulge
 ELASTIC = 1e-6  # of a node's stiffness: what a translation meets must be less, else inertia or springs are in it
 
 
@@ -64,6 +69,28 @@ def yielding_share(V: fem.FunctionSpace, A: PETSc.Mat) -> fem.Function:
         r = np.where((G > 0) & (M > G), G / M, 0.5)
     share.x.array[:] = np.repeat(4 * r * (1 - r), d)
     return share
+
+
+def doubt_order(share: fem.Function, name: str) -> None:
+    """Warn of a nearly incompressible body of first order, whose cells lock (collective).
+
+    Args:
+        share: E'/M near each node on the boundary.
+        name: of the displacement.
+    """
+    V = share.function_space
+    if V.element.basix_element.degree > 1:
+        return
+    least = V.mesh.comm.allreduce(float(share.x.array.min(initial=1.0)), MPI.MIN)
+    r = (1 - np.sqrt(1 - min(least, 1.0))) / 2  # G/M, ν = (1 − 2 r)/(2 − 2 r)
+    ν = (1 - 2 * r) / (2 - 2 * r)
+    if ν >= LOCKS and V.mesh.comm.rank == 0:
+        warnings.warn(
+            f"{name} is of order 1 in a nearly incompressible body (ν = {ν:.4g}): its cells lock, and are far too stiff "
+            "but on very fine meshes; take a displacement of order 2",
+            ModelWarning,
+            stacklevel=5,  # who makes the problem
+        )
 
 
 def _near(V: fem.FunctionSpace, values: Array) -> Array:

@@ -8,6 +8,8 @@ points. So the nodes of both surfaces, and open points, are looked at once more:
   through it;
 - what lies in the other body where nothing is in contact overlaps it unfelt;
 - a membrane, which bears no compression, has folded over where Newton's iterates were wild: an unstable equilibrium;
+- where nothing at all is in contact, a node that lies in the other body, at any depth, says that the bodies meet with
+  surfaces that the pair does not name;
 - depth is a function of slope one at most: a node that lies deeper than the next integration point is away, and than meshes
   may err, has taken that along, which contact should have felt and undone.
 """
@@ -41,7 +43,8 @@ Bool = NDArray[np.bool_]
 PASSED = "the step has carried one surface through the other; take smaller steps"
 MISSED = (
     "the surfaces overlap by more than integration points are apart; take smaller steps, refine the contactor, swap "
-    'contactor and target, or take integration="segments"'
+    'contactor and target, or take integration="segments"; if they touch so from the start, name all of their boundary that '
+    "may touch"
 )
 IN_OBSTACLE = (
     "the contactor lies in the obstacle between its integration points, or within facets that are in contact, which holds it "
@@ -54,6 +57,10 @@ BETWEEN = (
 ON_AVERAGE = (
     "the surfaces overlap within facets that are in contact, which holds them apart on the average; swap contactor and "
     "target, or refine both there"
+)
+ELSEWHERE = (
+    "one body lies in the other while nothing of this pair is in contact: other surfaces of them meet; name these, or all of "
+    "the boundary that may ever touch, as contactor and target"
 )
 FOLDS = "a membrane has folded over in the step, which it does in compression alone; take smaller steps"
 SHARE = 0.02  # of the longer facet: what overlaps by less is an error of the mesh
@@ -222,13 +229,16 @@ class Unfelt:
             )
         self._take_target(at, closed, before)
         others = self._nodes(self._other, np.zeros(len(self._other.target.nodes)))
-        return self._folds((self._contactor, self._other)) or self._findings(
+        said = self._folds((self._contactor, self._other)) or self._findings(
             [
                 self._at_surface(open_, self._other),
                 self._at_surface(nodes, self._other, look_deep=True),
                 self._at_surface(others, self._contactor, look_deep=True, spacing=spacing),
             ]
         )
+        if said or any_over(self._comm, closed.any()):
+            return said
+        return self._elsewhere([(nodes, self._other), (others, self._contactor)])
 
     # ---------------------------------------------------------------- what is known of both sides
 
@@ -316,6 +326,22 @@ class Unfelt:
             for X in places
             if len(X)
         ]
+
+    def _elsewhere(self, sides: list[tuple[_Points, _Side]]) -> list[Finding]:
+        """Nodes that lie in the other body, of a pair that is not in contact (collective)."""
+        mine = [tuple(map(float, X)) for points, other in sides for X in points.X[self._deep(points, other)]]
+        every = [X for part in self._comm.allgather(mine) for X in part]
+        name = f"{self._name}: nodes in the other body"
+        return [Finding(name, float(len(every)), every[0], ELSEWHERE, False)] if every else []
+
+    def _deep(self, points: _Points, other: _Side) -> Index:
+        """Which points lie in the body behind a surface, deeper than any error of the meshes (collective)."""
+        at = other.target.closest(points.x)
+        longer = np.maximum(points.extent, other.target.extents[at.point.facet])
+        deep = np.flatnonzero(at.facing & (at.g > DEEPEST * longer))
+        if any_over(self._comm, len(deep) > 0):
+            deep = deep[other.inside(points.x[deep], at.y[deep])]
+        return deep
 
     def _findings(self, found: list[_Found]) -> list[Finding]:
         """In words, on all ranks (collective)."""

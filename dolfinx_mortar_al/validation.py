@@ -440,7 +440,10 @@ def joint_thickness(contact: Any, name: str, bodies: Sequence[Any]) -> float:
     widths = {f"the body of u[{k}]": width for k, width in _widths(contact, bodies).items()}
     said |= {whose: width for whose, width in widths.items() if not isinstance(width, ufl.core.expr.Expr)}
     if widths and not said:
-        raise ValueError(f"thickness of {next(iter(widths))} is UFL: pass that of the contact {name!r} as a number")
+        raise ValueError(
+            f"thickness of {next(iter(widths))} is UFL: pass that of the contact {name!r} as a number. Bodies of revolution "
+            "(2 π r) have hoop strains, which plane laws do not: mesh a sector in space"
+        )
     first, thickness = next(iter(said.items()), ("", 1.0))
     for whose, width in said.items():
         if not math.isclose(thickness, width, rel_tol=1e-9):

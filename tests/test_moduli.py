@@ -1,4 +1,6 @@
-"""ε follows what a surface yields to pressure, not the volume's stiffness."""
+"""ε follows what a surface yields to pressure, not the volume's stiffness; and cells that lock are told."""
+
+import warnings
 
 import numpy as np
 import pytest
@@ -6,9 +8,10 @@ import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, quasistatic
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic
 from dolfinx_mortar_al.bodies import BodyForms
 from dolfinx_mortar_al.moduli import yielding_share
+from dolfinx_mortar_al.monitors import ModelWarning
 from meshes.two_beams import LOWER_TOP, UPPER_BOTTOM, TwoBeams
 
 SQUARES = [mesh.CellType.triangle, mesh.CellType.quadrilateral]
@@ -55,6 +58,23 @@ def test_springs_leave_it_alone():
         + 1e9 * ufl.inner(u, ufl.TestFunction(u.function_space)) * ufl.dx
     )
     assert MPI.COMM_WORLD.allreduce(np.abs(at_boundary(u, F) - 1).max(initial=0.0), MPI.MAX) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("order", "nu", "says"), [(1, 0.4999, "0.4999"), (1, 0.495, "0.495"), (1, 0.45, ""), (2, 0.4999, "")]
+)
+@pytest.mark.parametrize("as_form", [False, True])
+def test_cells_that_lock_are_told(order, nu, says, as_form):
+    """Of order 1 and nearly incompressible, whatever the form: once, as the problem is made, with ν read off it."""
+    u = block(mesh.CellType.quadrilateral, order)
+    law = materials.saint_venant_kirchhoff(1e6, nu)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ContactProblem(law.virtual_work(u), u) if as_form else ContactProblem(Body(u, law))
+    said = [w for w in caught if issubclass(w.category, ModelWarning)]
+    assert len(said) == (says != "" and MPI.COMM_WORLD.rank == 0)
+    assert all(f"u[0] is of order 1 in a nearly incompressible body (ν = {says})" in str(w.message) for w in said)
+    assert all(w.filename == __file__ for w in said)
 
 
 @pytest.mark.parametrize("nu", [0.49, 0.4999])

@@ -3,6 +3,7 @@
 import contextlib
 import math
 import sys
+import warnings
 from pathlib import Path
 
 import basix
@@ -18,6 +19,7 @@ from dolfinx_mortar_al.monitors import ModelWarning
 from dolfinx_mortar_al.obstacles import Pose, RigidCylinder, RigidSphere
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions
 from dolfinx_mortar_al.swept import depth_behind, passed_obstacle, passed_through
+from meshes.boxes import Box, create_boxes
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from robustness import march
@@ -138,6 +140,31 @@ def test_an_overlap_between_the_points_is_said():
     assert len(found) == 1 and not found[0].fatal
     assert abs(found[0].value - 0.003 / np.hypot(0.1, 0.03)) < 1e-6
     np.testing.assert_allclose(found[0].X, [0.0, 0.02], atol=1e-12)
+
+
+@pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize("side", [(0, 0), (0, 1)])
+def test_the_wrong_surface_of_a_body(side, swap):
+    """A punch on a slab whose left or right side is named in place of its top goes into it without contact, which is told:
+    the five nodes of its bottom lie in the slab."""
+    punch = Box((0.4, 1.0), (0.4, 0.5), (4, 4), 1, {(1, 0): BOTTOM, (1, 1): TOP})
+    slab = Box((0.0, 0.0), (2.0, 1.0), (8, 4), 2, {(1, 0): 3, side: 4})
+    domain, _, tags = create_boxes(MPI.COMM_WORLD, [punch, slab], simplices=False)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u, way = fem.Function(V), fem.Constant(domain, np.zeros(2))
+    at = [fem.locate_dofs_topological(V, 1, tags.find(tag)) for tag in (TOP, 3)]
+    bcs = [fem.dirichletbc(way, at[0], V), fem.dirichletbc(np.zeros(2), at[1], V)]
+    sides = [Surface(domain, tags, tag) for tag in (BOTTOM, 4)]
+    contact = Contact(*(reversed(sides) if swap else sides))
+    problem = ContactProblem(materials.neo_hookean(E, NU).virtual_work(u), u, bcs=bcs, contacts=[contact])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        first, last = quasistatic.march(problem, way, to=(0.0, -0.2), increments=2)
+    assert problem.pairs[0].closed_fraction() == 0
+    assert first.findings == last.findings
+    assert [f.name for f in last.findings] == ["contact: nodes in the other body"]
+    assert last.findings[0].value == 5
+    assert "other surfaces of them meet" in last.findings[0].meaning
 
 
 # ---------------------------------------------------------------- swept paths, and what is behind a surface
