@@ -575,4 +575,5 @@ class NewtonSolver:
                 "the Jacobian's determinant is negative on the way: an unstable equilibrium (a limit or bifurcation point) "
                 "is near; follow it with quasistatic.follow, prescribe a displacement, or let it move with dynamics.march"
             )
+        parts += [advice for pair in p.pairs if (advice := pair.doubts_roles()) is not None]
         return "".join(f"; {part}" for part in parts)

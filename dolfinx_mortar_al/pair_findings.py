@@ -34,6 +34,7 @@ FINE = (
     "target"
 )
 STIFFER = 4.0  # of stiffnesses per area: pressures on finer contactors were off by more than a tenth from there on
+MUCH_STIFFER = 10.0  # the same; solves that failed went through with the roles swapped from 15 on (docs/robustness.md)
 OVERLAP = "both surfaces are prescribed there and overlap: no contact force can part them; change the prescribed values"
 PUSHED = (
     "supports push this node into the other surface, which is held there, too, so that no contact force can part them: end "
@@ -121,6 +122,16 @@ class PairFindings(PairResults):
             Finding(f"{self.name}: multiplier's spacing over the target's", ratio, (), FINE, False)
             if ratio < ALIKE
             else None
+        )
+
+    def doubts_roles(self) -> str | None:
+        """What a failed solve says of a contactor that is much stiffer than its target, whose edges and corners then come to
+        bear on less than one of its facets."""
+        if self.target.is_rigid or self.target.is_contactor or self.stiffness_ratio <= MUCH_STIFFER:
+            return None
+        return (
+            f"{self.name}: its contactor is {self.stiffness_ratio:.2g} times as stiff as its target, whose edges and corners "
+            "the contactor's facets may not resolve; swap contactor and target, so that the softer one is the contactor"
         )
 
     def prescribed_overlap(self) -> Finding | None:

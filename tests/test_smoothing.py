@@ -10,7 +10,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 from scenes import beams
 
-from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic
+from dolfinx_mortar_al import Body, Contact, ContactProblem, NewtonSolver, Surface, materials, quasistatic
 from dolfinx_mortar_al.smoothing import products_of_gradients
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -113,3 +113,14 @@ def test_a_prescribed_foot_of_many_facets_presses_smoothly(order, young):
     if fields is not None:
         p = fields.pressure[fields.status > 0]
         assert np.abs(np.diff(p, 2)).max() < 0.1 * p.max()
+
+
+@pytest.mark.parametrize(("young", "is_doubted"), [(1e4, True), (1.0, False)])
+def test_a_failed_solve_doubts_a_much_stiffer_contactor(young, is_doubted):
+    """With what helped in all random scenes of that kind which had failed (docs/robustness.md): the other roles."""
+    problem, load = foot_on_block(1, young)
+    solver = NewtonSolver(problem, max_iterations=1)
+    with pytest.raises(quasistatic.StepFailure) as failed:
+        list(quasistatic.march(problem, load, to=DEEP, increments=1, smallest=1.0, solver=solver))
+    ratio = f"contact: its contactor is {problem.pairs[0].stiffness_ratio:.2g} times as stiff as its target"
+    assert (ratio in str(failed.value)) == ("swap contactor and target" in str(failed.value)) == is_doubted
