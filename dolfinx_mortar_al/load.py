@@ -225,8 +225,9 @@ class Loads:
         new.moved = self._waiting.pop(MOVED + label, None)
         return new
 
-    def step(self, load: Load | None, way: Array | None = None) -> None:
-        """The last step has moved this load by `way` (components,) and no other, or it says nothing of the next one."""
+    def note(self, load: Load | None, way: Array | None = None) -> None:
+        """Note that the last step has moved this load by `way` (components,) and no other; None where it says nothing of the
+        next one."""
         for one in self._loads.values():
             one.moved = way if one is load else None
 

@@ -118,7 +118,7 @@ def equilibrate(problem: ContactProblem, *, solver: NewtonSolver | None = None) 
         problem.restore(before)
         problem.show_committed()
         raise StepFailure(f"no convergence in the loads as they stand: {attempt.message}")
-    problem.loads.step(None)
+    problem.loads.note(None)
     problem.commit()
     Reporter(problem.comm.rank).report(attempt.findings, "the loads as they stand", stacklevel=3)
     return Step(
@@ -498,7 +498,7 @@ class _LoadControl(Controller[Step]):
         leg, stage = self._legs[self.leg], self.leg
         self._was_unstable = self._unstable
         self._from_last = self._tried_from_last = self._restless = False
-        self.problem.loads.step(None if self._leapt else leg.load, leg.way(self._x))
+        self.problem.loads.note(None if self._leapt else leg.load, leg.way(self._x))
         self.problem.commit()
         leg.x, self._at = self._x, self._tried
         self._predictor.add(leg.x / leg.increments, afresh=self._leapt)
@@ -595,7 +595,7 @@ class _PathControl(Controller[Step]):
         return self._over
 
     def accept(self, done: stepping.Step) -> Step:
-        self.problem.loads.step(None)
+        self.problem.loads.note(None)
         self.problem.commit()
         self.mark()
         self._taken += 1
