@@ -34,10 +34,12 @@ def passed_through(
     x1: Array,
     depth: float,
     counts: Callable[[Index, Index], Bool] | None = None,
+    touching: Bool | None = None,
 ) -> Bool:
     """(n,) points that went from 𝐱₀ to 𝐱₁ (n, gdim) through the front of a target facet and ended farther behind its plane
     than `depth` (m), or came out again at the other side of a plate. (A point that comes out again elsewhere may have gone
-    round under contact, where surfaces slide over many facets.)
+    round under contact, where surfaces slide over many facets.) Of those not what went through the target along facets that
+    are `touching` (nf,), no farther from the middle of one than a facet is large: it has gone round under these.
 
     `before`, `after` (nodes, gdim) are the positions of the target's nodes. Facets count as flat between neighbouring nodes,
     and motions as straight. `counts` says of points (m,) and facets (m,) which couples are looked at, all by default.
@@ -46,13 +48,30 @@ def passed_through(
     pieces = target.shape.pieces
     orientation = np.repeat(target.orientation, len(pieces))
     c0, c1 = (_corners(target, nodes) for nodes in (before, after))
+    under = np.zeros(len(c0), dtype=bool) if touching is None else np.repeat(touching, len(pieces))
+    middles = c0[under].mean(axis=1), c1[under].mean(axis=1)
     for point, piece in _couples([c0, c1], [x0, x1], 0.0):
         if counts is not None:
             real = counts(point, piece // len(pieces))
             point, piece = point[real], piece[real]
-        way = _Ways(c0[piece], c1[piece], x0[point], x1[point], orientation[piece], point)
-        passed[way.through(depth)] = True
+        through, *times = _Ways(c0[piece], c1[piece], x0[point], x1[point], orientation[piece], point).through(depth)
+        along = _along(middles, (x0[through], x1[through]), times, target.size_of_facets)
+        passed[through[~along]] = True
     return passed
+
+
+def _along(middles: tuple[Array, Array], x: tuple[Array, Array], times: Sequence[Array], reach: float) -> Bool:
+    """(n,) points that come as near as `reach` (m) to any of the `middles` (m, gdim) between two `times` (n,), all moving
+    straight on from where they are at 0 to where they are at 1, a share of the points at a time."""
+    near = np.zeros(len(x[0]), dtype=bool)
+    rows = max(1, CHUNK // max(len(middles[0]), 1))
+    for start in range(0, len(near) if len(middles[0]) else 0, rows):
+        part = slice(start, start + rows)
+        r, dr = (x[0][part, None] - middles[0]), (x[1] - x[0])[part, None] - (middles[1] - middles[0])
+        t = -(r * dr).sum(axis=2) / np.maximum((dr * dr).sum(axis=2), 1e-300)
+        t = np.clip(t, *(time[part, None] for time in times))
+        near[part] = (np.linalg.norm(r + t[:, :, None] * dr, axis=2) <= reach).any(axis=1)
+    return near
 
 
 def depth_behind(target: GatheredFacets, nodes: Array, x: Array, reach: float) -> Array:
@@ -111,19 +130,21 @@ class _Ways:
         )
         across = across[_inside(c, x[:, 0])]
         across = across[np.lexsort([t[across], point[across]])]
-        self.point, self.entry, self._end = point[across], entry[across], end[across]
+        self.point, self.entry, self._end, self._time = point[across], entry[across], end[across], t[across]
         self._normal = _normal((c0 + t[:, None, None] * (c1 - c0))[across], orientation[across])
 
-    def through(self, depth: float) -> Index:
-        """The points that have passed, deeper than `depth` (m)."""
+    def through(self, depth: float) -> tuple[Index, Array, Array]:
+        """The points that have passed, deeper than `depth` (m); between which times (shares of the way) they were inside."""
         m = len(self.point)
         following = np.minimum.accumulate(np.where(self.entry, m, np.arange(m))[::-1])[::-1]  # the next way out
         comes_out = np.zeros(m, dtype=bool)
         comes_out[following < m] = self.point[following[following < m]] == self.point[following < m]
         stays = self.entry & ~comes_out & (self._end < -depth)
         into = np.flatnonzero(self.entry & comes_out)
-        plate = dot(self._normal[into], self._normal[following[into]]) < OPPOSITE
-        return np.concatenate([self.point[stays], self.point[into[plate]]])
+        into = into[dot(self._normal[into], self._normal[following[into]]) < OPPOSITE]  # a plate
+        way_in = np.concatenate([np.flatnonzero(stays), into])
+        way_out = np.concatenate([np.ones(stays.sum()), self._time[following[into]]])
+        return self.point[way_in], self._time[way_in], way_out
 
 
 def passed_obstacle(obstacle: Obstacle, before: Pose, x0: Array, x1: Array, depth: float) -> Bool:

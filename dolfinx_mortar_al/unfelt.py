@@ -138,7 +138,7 @@ class _Side:
     def passed(self, x0: Array, x: Array) -> Bool:
         """(n,) which points have come through the surface's front, 𝐱₀ and 𝐱 (n, gdim)."""
         depth = DEPTH * self.target.size
-        return passed_through(self.target.surface, self.before, self.target.nodes, x0, x, depth)
+        return passed_through(self.target.surface, self.before, self.target.nodes, x0, x, depth, touching=~self.silent)
 
 
 @dataclass
