@@ -28,12 +28,13 @@ __all__ = ["doubt_order", "yielding_share"]
 Array = NDArray[np.float64]
 
 LOCKS = 0.49  # Poisson's ratio: from there on cells of order 1 are too stiff by a quarter and more where a few bend or bulge
+NOISE = 1e-10  # of a node's stiffness times the body's size: inside, where a uniform strain meets no force, is less
 ELASTIC = 1e-6  # of a node's stiffness: what a translation meets must be less, else inertia or springs are in it
 
 
 def yielding_share(V: fem.FunctionSpace, A: PETSc.Mat) -> fem.Function:
-    """E'/M near each node on the boundary of a body, the same in all components; 1 on membranes and where a translation
-    meets a force, for inertia or springs are in A then (collective).
+    """E'/M near each node on the boundary of a body, the same in all components; 1 inside, on membranes and where a
+    translation meets a force, for inertia or springs are in A then (collective).
 
     Args:
         V: the displacement's space.
@@ -46,6 +47,7 @@ def yielding_share(V: fem.FunctionSpace, A: PETSc.Mat) -> fem.Function:
     X, corner = V.tabulate_dof_coordinates()[:, :d], np.empty(d)
     V.mesh.comm.Allreduce(X.min(axis=0, initial=np.inf), corner, MPI.MIN)
     X = X - corner
+    size = V.mesh.comm.allreduce(float(X.max(initial=0.0)), MPI.MAX)
     field, e = fem.Function(V), np.eye(d)
     result = A.createVecLeft()
 
@@ -57,16 +59,17 @@ def yielding_share(V: fem.FunctionSpace, A: PETSc.Mat) -> fem.Function:
 
     p = times(X)
     q = np.stack([sum(times(np.outer(X[:, j], e[i]))[:, i] for i in range(d)) for j in range(d)], axis=1)
-    held = np.abs(times(np.ones_like(X))).max(axis=1) > ELASTIC * np.abs(A.getDiagonal().array_r.reshape(-1, d)).max(
-        axis=1
-    )
+    stiffness = np.abs(A.getDiagonal().array_r.reshape(-1, d)).max(axis=1)
+    held = np.abs(times(np.ones_like(X))).max(axis=1) > ELASTIC * stiffness
     p, q = (np.linalg.norm(v, axis=1) for v in (p, q))
     G = (d * q - p) / ((d + 2) * (d - 1))
     M = (p - 2 * G) / d + 2 * G
     # a vertex of a quadratic triangle has no ∫ N da: take nodes with those of their cells
     G, M = (_near(V, np.where(held, 0.0, v)) for v in (G, M))
+    noise = NOISE * size * _near(V, stiffness)
+    sound = (G > 0) & (M > G) & (M > noise)
     with np.errstate(divide="ignore", invalid="ignore"):
-        r = np.where((G > 0) & (M > G), G / M, 0.5)
+        r = np.where(sound, G / M, 0.5)
     share.x.array[:] = np.repeat(4 * r * (1 - r), d)
     return share
 

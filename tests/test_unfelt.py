@@ -203,13 +203,13 @@ def test_paths_over_a_bump_and_through_a_plate():
 
 @pytest.mark.one_rank
 def test_what_goes_under_facets_in_contact_has_not_passed_through():
-    """A block of 4 m, of which sides and bottom are surface, is dragged by 12 m over a point .01 m above its bottom: in at one
-    side and out at the other. With the middle of the bottom in contact the point has gone under it; what lies two facets
-    higher has not."""
+    """A block of 4 m, of which sides and bottom are surface, is dragged by 12 m over a point .01 m above its bottom: in at
+    one side and out at the other. With the middle of the bottom in contact the point has gone under it; what lies two
+    facets higher has not."""
     x = np.arange(5.0)
     outline = [[0, 3], [0, 1.5], *np.stack([x, 0 * x], axis=1), [4, 1.5], [4, 3]]
     block = line(outline, orientation=1.0)
-    ends = block.X + [8.0, 0.0], block.X - [4.0, 0.0]
+    ends = block.X + np.array([8.0, 0.0]), block.X - np.array([4.0, 0.0])
     touching = np.isin(np.arange(len(block.facets)), [3, 4])
     points = np.array([[4.0, 0.01], [4.0, 2.0]])
     for told, expected in ((None, [True, True]), (touching, [False, True]), (~touching, [False, False])):
