@@ -67,7 +67,7 @@ def yielding_share(V: fem.FunctionSpace, A: PETSc.Mat) -> fem.Function:
     # a vertex of a quadratic triangle has no ∫ N da: take nodes with those of their cells
     G, M = (_near(V, np.where(held, 0.0, v)) for v in (G, M))
     noise = NOISE * size * _near(V, stiffness)
-    sound = (G > 0) & (M > G) & (M > noise)
+    sound = (G > 0) & (M > G) & (noise < M)
     with np.errstate(divide="ignore", invalid="ignore"):
         r = np.where(sound, G / M, 0.5)
     share.x.array[:] = np.repeat(4 * r * (1 - r), d)

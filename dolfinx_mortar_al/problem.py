@@ -25,6 +25,7 @@ from dolfinx_mortar_al.body import Body
 from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.given import Given
 from dolfinx_mortar_al.law import OPEN, SLIP, STICK
+from dolfinx_mortar_al.led import lead
 from dolfinx_mortar_al.load import Loads
 from dolfinx_mortar_al.monitors import Finding, Monitor
 from dolfinx_mortar_al.motion import Motion
@@ -875,6 +876,10 @@ class ContactProblem:
         nothing of it (collective)."""
         for pair in self.pairs if ratio > 0.0 else ():
             pair.slip_from_touch(ratio)
+
+    def lead(self) -> None:
+        """Move bodies with the supports that lead them, along what they touch (collective)."""
+        lead(self.bodies, self.pairs, self._touched)
 
     def resume(self, saved: Snapshot) -> None:
         """To a converged state of an earlier run (collective)."""

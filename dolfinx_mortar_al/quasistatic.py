@@ -442,6 +442,7 @@ class _LoadControl(Controller[Step]):
         with leg.watch:
             leg.load.set(leg.value(self._x))
         self.problem.slip_from_touch(pace(self.problem.comm, leg.way(self._x), leg.load.moved))
+        self.problem.lead()
         attempt = _solve(self.problem, self.solver)
         self._leapt, self._unstable = False, UNSTABLE in attempt.findings
         if attempt.good and self._unstable and not self._was_unstable:
