@@ -82,7 +82,8 @@ def main(directory: Path, size: float) -> tuple[float, float]:
     bodies = Body(u, [(rubber, dx(FOOT)), (plastic, dx(PLATE))], bcs=[base, head])
 
     # 4. Contact. The contactor carries the integration points and the multiplier: take the softer side, of equally stiff ones
-    #    the finer, and name all of it that may ever touch. There is nothing to tune: ε comes from the bodies' stiffness.
+    #    the finer, rather one without sharp corners where it touches, and name all of it that may ever touch. There is
+    #    nothing to tune: ε comes from the bodies' stiffness.
     contact = Contact(Surface(mesh, facets, SOLE), Surface(mesh, facets, FACE), friction=0.4, name="sole")
     problem = ContactProblem(bodies, contacts=[contact])
     sole = problem.pair("sole")

@@ -373,6 +373,12 @@ class Bodies:
             body.set_bc_rows(gap[part])
         return gap
 
+    def way_over_size(self) -> float:
+        """The longest way that prescribed components have still to move, over the diameter of their piece (collective)."""
+        way = np.zeros(self.pieces)
+        np.maximum.at(way, self.piece_of_dof, np.abs(self.unmet()))
+        return float((max_over(self.comm, way) / self.diameters()).max(initial=0.0))
+
     def norms(self, values: Array) -> Array:
         """(pieces,) norm of nodal values (owned dofs,) on each piece (collective)."""
         squares = np.bincount(self.piece_of_dof, weights=values**2, minlength=self.pieces)

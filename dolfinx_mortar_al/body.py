@@ -78,8 +78,8 @@ class Body:
             it, and needs it here for its mass.
         external: dead or follower loads, one or a list of them: (force, measure) with a force per reference area (Pa) on
             `ds` or volume (N/m³) on `dx`, which the body's thickness multiplies: UFL with the space's number of components,
-            such as ``-p * loads.area_normal(u)``, or numbers; or a UFL form of the virtual work, such as the functions of
-            :mod:`~dolfinx_mortar_al.loads` give it, with the thickness written into it.
+            such as ``-p * loads.area_normal(u)``, or a list of numbers and UFL; or a UFL form of the virtual work, such as
+            the functions of :mod:`~dolfinx_mortar_al.loads` give it, with the thickness written into it.
         bcs: Dirichlet conditions on u.
 
     Attributes:
@@ -220,6 +220,8 @@ def _load(item: Any, name: str, u: fem.Function, width: Any) -> Any:
         return item
     force, measure = _on_measure(item, name, "force", ("cell", "exterior_facet"))
     d = len(u)
+    if isinstance(force, list | tuple) and any(isinstance(part, Expr) for part in force):
+        force = ufl.as_vector(list(force))
     if not isinstance(force, Expr):
         force = ufl.as_vector(vector(name, force, d).tolist())
     elif force.ufl_shape != (d,):

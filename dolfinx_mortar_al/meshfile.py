@@ -144,7 +144,10 @@ def _once(numbers: Index, tags: Index, what: str) -> None:
     different, where, count = np.unique(numbers, return_inverse=True, return_counts=True)
     if len(different) < len(numbers):
         both = sorted(set(tags[where == int(np.argmax(count))].tolist()))
-        raise ValueError(f"{what} in several physical groups, such as {both}: mesh tags hold one number each")
+        raise ValueError(
+            f"{what} in several physical groups, such as {both}: mesh tags hold one number each. Of bodies that are to be in "
+            "contact, each needs facets and nodes of its own: leave out gmsh's fragment"
+        )
 
 
 def _check_cells(gmsh: Any, dim: int) -> set[tuple[int, ...]]:

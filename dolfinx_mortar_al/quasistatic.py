@@ -58,6 +58,7 @@ MOVED_ON = (
     "dynamics.march shows such motions in time"
 )
 LEAPS = "the bodies let go, tip or snap on the way: no equilibrium near the last one leads there"
+FAR = 10.0  # times a body's size: lengths of other units than the mesh's are a thousand times too large, as a rule
 RESTLESS = "; nor do the bodies come to rest when they are let go"
 
 
@@ -523,6 +524,14 @@ class _LoadControl(Controller[Step]):
 
     def failure(self, reason: str) -> str:
         reason += RESTLESS if self._restless else ""
+        leg = self._legs[self.leg]
+        leg.load.set(leg.end)
+        far = self.problem.bodies.way_over_size()
+        leg.load.set(leg.value(leg.x))
+        if far > FAR:
+            reason += (
+                f"; what is prescribed is to lead a body by {far:.2g} times its size: is it in the units of the mesh?"
+            )
         return f"no convergence at {self._tried} with the smallest step: {reason}; the steps up to {self._at} are converged"
 
 

@@ -59,6 +59,8 @@ def test_two_materials_with_thickness_as_by_hand():
     form, pair = loads.pressure(u, THICKNESS * p, ds(1)), (-p * loads.area_normal(u), ds(1))
     for external in (form, pair, [form], [pair]):
         assert_equal_forms(Body(u, laws, thickness=THICKNESS, external=external).external, form)
+    mixed = Body(u, laws, external=[((0.0, -p), ds(1))]).external
+    assert_equal_forms(mixed, ufl.inner(ufl.as_vector((0.0, -p)), v) * ds(1))
 
 
 @pytest.mark.parametrize("theta, force", [(0.5, "consistent"), (0.7, "trapezoidal")])

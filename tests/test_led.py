@@ -88,6 +88,16 @@ def test_what_is_not_in_contact_stays():
     assert all(np.abs(part).max(initial=0.0) == 0.0 for part in moved(problem))
 
 
+def test_a_way_in_other_units_than_the_mesh_is_doubted():
+    """A march that fails on the way to 300 m, of a body of .7 m, asks for the unit; one to 3 m does not. Loads stay."""
+    problem, way, _ = block_on_slab()
+    for end, says in ((-300.0, True), (-3.0, False)):
+        with pytest.raises(quasistatic.StepFailure) as failed:
+            list(quasistatic.march(problem, way, to=(0.0, end), increments=1, smallest=1.0))
+        assert ("times its size: is it in the units of the mesh?" in str(failed.value)) == says
+        assert np.array_equal(way.value, PRESSED)
+
+
 @pytest.mark.one_rank
 def test_drags_need_no_second_trial():
     """A coarse die dragged by 4.8 facets in an increment: no trial is rejected and 14 iterations are taken (from the last
