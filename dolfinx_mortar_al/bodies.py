@@ -335,9 +335,7 @@ class Bodies:
         nodes, of floating pieces along the axes in which nothing is prescribed (collective): of what springs or inertia hold
         the forces on the whole are as large as theirs."""
         if self._free_axes is None:
-            free = np.zeros((self.pieces, self.gdim))
-            for body, first in zip(self.bodies, self.first_piece, strict=True):
-                free[[first + piece.number for piece in body.floating]] = 1.0
+            free = np.repeat(self.floating().astype(np.float64)[:, None], self.gdim, axis=1)
             for body, first in zip(self.bodies, self.first_piece, strict=True):
                 np.minimum.at(free, body.piece + first, 1.0 - body.prescribed().x.array.reshape(-1, self.gdim))
             nodes = np.bincount(self.piece_of_dof, minlength=self.pieces) / self.gdim
@@ -345,6 +343,13 @@ class Bodies:
         sums = np.zeros((self.pieces, self.gdim))
         np.add.at(sums, self.piece_of_dof[:: self.gdim], values.reshape(-1, self.gdim))
         return np.asarray(np.abs(self._free_axes * sum_over(self.comm, sums)).max(axis=1))
+
+    def floating(self) -> NDArray[np.bool_]:
+        """(pieces,) which nothing but contact holds."""
+        result = np.zeros(self.pieces, dtype=bool)
+        for body, first in zip(self.bodies, self.first_piece, strict=True):
+            result[[first + piece.number for piece in body.floating]] = True
+        return result
 
     def spring_shares(self, diagonals: Sequence[fem.Function], touched: Sequence[NDArray[np.bool_]]) -> Array:
         """(owned dofs,) the stiffness of the softest piece that each piece may press, `touched` with it by a pair, as a share

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.law import OPEN
 from dolfinx_mortar_al.reductions import max_over, sum_over
 
 __all__ = ["lead"]
@@ -37,7 +38,7 @@ def lead(bodies: Bodies, pairs: Sequence[ContactPair], touched: Sequence[Bool]) 
     if not ways.any():
         return
     mine, least = np.zeros((bodies.pieces, bodies.gdim, bodies.gdim)), np.zeros(bodies.pieces)
-    waiting = _floating(bodies) & ~ways.any(axis=1)
+    waiting = bodies.floating() & ~ways.any(axis=1)
     for pair, pieces in zip(pairs, touched, strict=True):
         mine[pieces] += _pressed(pair)
         np.maximum(least, np.inf if (pieces & waiting).any() else pair.target.size, out=least, where=pieces)
@@ -66,15 +67,8 @@ def _ways(bodies: Bodies) -> Array:
     return np.asarray(np.where(agree[:, None], mean, 0.0))
 
 
-def _floating(bodies: Bodies) -> Bool:
-    """(pieces,) which pieces nothing but contact holds."""
-    floating = np.zeros(bodies.pieces, dtype=bool)
-    for body, first in zip(bodies.bodies, bodies.first_piece, strict=True):
-        floating[[first + piece.number for piece in body.floating]] = True
-    return floating
-
-
 def _pressed(pair: ContactPair) -> Array:
     """(gdim, gdim) Σ p 𝛎 ⊗ 𝛎 over this rank's closed points, weighted by area (N)."""
-    ν = pair.at.ν
-    return np.asarray(np.einsum("n,ni,nj->ij", pair.j * np.maximum(pair.state.p, 0.0), ν, ν))
+    closed = pair.state.status != OPEN
+    ν, force = pair.at.ν[closed], (pair.j * pair.state.p)[closed]
+    return np.asarray(np.einsum("n,ni,nj->ij", np.maximum(force, 0.0), ν, ν))
