@@ -23,7 +23,7 @@ __all__ = ["lead"]
 Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-OPPOSES = 0.1  # of the pressures act along a direction that contact opposes; .3 and 1 are as good (docs/newton.md)
+OPPOSES = 0.1  # of the pressures act along a direction that contact opposes; .3 is as good (docs/newton.md)
 ALIKE = 1e-6  # of a way: so much prescribed components of one piece may differ
 
 
