@@ -37,18 +37,30 @@ class Inside:
         straight line from one to the other does not cross the body's present boundary. Never in a membrane (collective)."""
         if self._surface.is_membrane:
             return np.zeros(len(x), dtype=bool)
-        if self._boundary is None:
-            self._boundary = DeformableTarget(self._outer(), self._bodies, uses_rays=False)
-        self._boundary.refresh()
+        boundary = self._present()
         length = np.linalg.norm(y - x, axis=1)
         along = (y - x) / np.maximum(length, 1e-300)[:, None]
-        surface = self._boundary.surface
-        nodes = self._boundary.nodes[surface.facets]
+        surface = boundary.surface
+        nodes = boundary.nodes[surface.facets]
         found = hits(surface.shape, nodes, x, along, *ray_candidates(x, along, nodes, 0.0)[:2])
         slack = AT_SURFACE * surface.size_of_facets
         result = length > slack
         result[found.row[(found.d > slack) & (found.d < length[found.row] - slack)]] = False
         return result
+
+    def may_be(self, x: Array) -> Bool:
+        """(n,) whether 𝐱 (n, gdim) lie in the box round the body, without which they are not in it (collective)."""
+        if self._surface.is_membrane:
+            return np.zeros(len(x), dtype=bool)
+        nodes = self._present().nodes
+        return np.asarray(((x >= nodes.min(axis=0)) & (x <= nodes.max(axis=0))).all(axis=1))
+
+    def _present(self) -> DeformableTarget:
+        """The body's boundary as it is now (collective)."""
+        if self._boundary is None:
+            self._boundary = DeformableTarget(self._outer(), self._bodies, uses_rays=False)
+        self._boundary.refresh()
+        return self._boundary
 
     def _outer(self) -> Surface:
         """The whole boundary of the connected pieces that the surface belongs to (collective)."""

@@ -336,12 +336,13 @@ class Unfelt:
 
     def _deep(self, points: _Points, other: _Side) -> Index:
         """Which points lie in the body behind a surface, deeper than any error of the meshes (collective)."""
-        at = other.target.closest(points.x)
-        longer = np.maximum(points.extent, other.target.extents[at.point.facet])
+        suspect = np.flatnonzero(other.inside.may_be(points.x))
+        if not any_over(self._comm, len(suspect) > 0):
+            return suspect
+        at = other.target.closest(points.x[suspect])
+        longer = np.maximum(points.extent[suspect], other.target.extents[at.point.facet])
         deep = np.flatnonzero(at.facing & (at.g > DEEPEST * longer))
-        if any_over(self._comm, len(deep) > 0):
-            deep = deep[other.inside(points.x[deep], at.y[deep])]
-        return deep
+        return suspect[deep[other.inside(points.x[suspect[deep]], at.y[deep])]]
 
     def _findings(self, found: list[_Found]) -> list[Finding]:
         """In words, on all ranks (collective)."""
