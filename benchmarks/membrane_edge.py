@@ -100,7 +100,7 @@ def solve(
             changes.enter_context(patch.object(multiplier, "fem", Broken))
         problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
     pair = problem.pairs[0]
-    pair.set_law(pair.stiffness, share * SOFTER)
+    pair.set_law(pair.stiffness, share * SOFTER, share * SOFTER)
     for _ in quasistatic.march(problem, p, to=PRESSURE, increments=STEPS):
         pass
     right = exact.midpoint_displacement

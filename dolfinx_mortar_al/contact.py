@@ -347,7 +347,7 @@ class ContactPair(PairFindings):
         c = self.contact
         sides = [c.contactor, c.target] if isinstance(c.target, Surface) else [c.contactor]
         self.stiffness_ratio = 0.0 if any(side.is_membrane for side in sides) else contactor / target
-        self.set_law(min(contactor, target))
+        self.set_law(min(contactor, target), SOFTER, SOFTER)
         self._hold_smooth()
 
     @property
@@ -379,10 +379,10 @@ class ContactPair(PairFindings):
                 )
         return contactor, target
 
-    def set_law(self, stiffness: float, share: float = SOFTER, normal: float = SOFTER) -> None:
-        """Fix ε_N and ε_T: the user's, or shares, that for ε_N called `normal`, of the bulk's `stiffness` at the two surfaces
+    def set_law(self, stiffness: float, tangential: float, normal: float) -> None:
+        """Fix ε_T and ε_N: the user's, or shares `tangential` and `normal` of the bulk's `stiffness` at the two surfaces
         (Pa/m)."""
-        self.stiffness, self.unit = stiffness, share * stiffness
+        self.stiffness, self.unit = stiffness, tangential * stiffness
         self._use_epsilon(normal * stiffness, self.unit)
 
     def _use_epsilon(self, normal: float, tangential: float, more: float = 0.0) -> None:

@@ -78,6 +78,12 @@ HOLES = 2  # facets from any hole to its edge: nodes of meshes that are to match
 SHARE = 0.01  # of a target facet: overlaps below it are those of facets that do not match on curved surfaces
 
 
+APART = (
+    "nothing has been in contact in the whole march: do the bodies start as close, and move as far, as was meant, in the "
+    "units of the mesh, and are these the surfaces that meet?"
+)
+
+
 class PairFindings(PairResults):
     """Findings of a contact pair; None where there is nothing to say (all collective)."""
 
@@ -133,6 +139,15 @@ class PairFindings(PairResults):
             f"{self.name}: its contactor is {self.stiffness_ratio:.2g} times as stiff as its target, whose edges and corners "
             "the contactor's facets may not resolve; swap contactor and target, so that the softer one is the contactor"
         )
+
+    def never_met(self) -> Finding:
+        """Of a pair that has not been in contact: how near its surfaces are, infinite where they do not face each other
+        (collective)."""
+        gap = np.where(self.at.facing, -self.at.g, np.inf)
+        k = int(np.argmin(gap)) if len(gap) else -1
+        mine = (float(gap[k]), tuple(self.points()[k].tolist())) if gap.min(initial=np.inf) < np.inf else (np.inf, ())
+        value, X = min(self.comm.allgather(mine))
+        return Finding(f"{self.name}: least gap (m)", value, X, APART, False)
 
     def prescribed_overlap(self) -> Finding | None:
         """Where both surfaces are prescribed and overlap, so that no contact force can part them (collective)."""

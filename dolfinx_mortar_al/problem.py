@@ -557,6 +557,16 @@ class ContactProblem:
         here = np.array([(pair.active.closed.any(), pair.was_in_contact()) for pair in self.pairs], dtype=int)
         return np.asarray(sum_over(self.comm, here.reshape(-1, 2)).T > 0)
 
+    def is_in_contact(self) -> bool:
+        """Whether any pair is in contact in the last equilibrium (collective)."""
+        return bool(self._in_contact()[1].any())
+
+    def never_met(self, said: Sequence[Finding]) -> list[Finding]:
+        """Of a march without contact, how near the surfaces of each pair are, but of one that may touch itself, or of which
+        the findings `said` tell more (collective)."""
+        told = {finding.name.split(":")[0] for finding in said}
+        return [pair.never_met() for pair in self.pairs if not pair.target.is_contactor and pair.name not in told]
+
     def has_thrown_off(self) -> bool:
         """Whether a piece that contact alone holds is far from where the last solve began, and nothing touches it
         (collective)."""

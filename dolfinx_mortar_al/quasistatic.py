@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import floor
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al import stepping, validation
 from dolfinx_mortar_al.load import Load, Movable, pace
 from dolfinx_mortar_al.load_watch import LoadWatch
-from dolfinx_mortar_al.monitors import Finding, Reporter
+from dolfinx_mortar_al.monitors import Finding, ModelWarning, Reporter
 from dolfinx_mortar_al.newton import NO_PROGRESS, NewtonResult, NewtonSolver, Path
 from dolfinx_mortar_al.pair_findings import PUSHED
 from dolfinx_mortar_al.predictor import Predictor
@@ -58,7 +59,9 @@ MOVED_ON = (
     "dynamics.march shows such motions in time"
 )
 LEAPS = "the bodies let go, tip or snap on the way: no equilibrium near the last one leads there"
-FAR = 10.0  # times a body's size: lengths of other units than the mesh's are a thousand times too large, as a rule
+FAR = 10.0  # times a body's size: lengths of other units than the mesh's are a thousand times too large, as a rule;
+VERY_FAR = 100.0  # the same before anything has failed: a ball may roll far
+UNITS = "what is prescribed is to lead a body by {:.2g} times its size: is it in the units of the mesh?"
 RESTLESS = "; nor do the bodies come to rest when they are let go"
 
 
@@ -403,14 +406,33 @@ class _LoadControl(Controller[Step]):
         self._from_last = self._tried_from_last = False
         self._leapt = self._restless = False  # the last trial was no step, and how it ended
         self._path = start
+        self._met = False  # whether anything has been in contact in a state of this march
 
     def begin(self) -> None:
+        self._met = self.problem.is_in_contact()
         if self.finished:
             return
         leg = self._legs[self.leg]
         leg.enter(self._start)
         self._predictor.add(leg.x / leg.increments)
         self._at = self._tried = self._words(leg, leg.x)
+        self._doubt_units()
+
+    def _farthest(self, leg: _Leg) -> float:
+        """By how many times its size the load's end leads a body from where it is (collective)."""
+        here = leg.load.value
+        leg.load.set(leg.end)
+        far = self.problem.bodies.way_over_size()
+        leg.load.set(here)
+        return far
+
+    def _doubt_units(self) -> None:
+        """Warn, on rank 0, of ways that are hardly meant, before thousands of iterations are spent on them; of loads that can
+        be set ahead of their time (collective)."""
+        legs = [leg for leg in self._legs if isinstance(leg.load.source, fem.Constant | fem.Function)]
+        far = max((self._farthest(leg) for leg in legs), default=0.0)
+        if far > VERY_FAR and self.problem.comm.rank == 0:
+            warnings.warn(UNITS.format(far), ModelWarning, stacklevel=6)  # the march's caller
 
     def _words(self, leg: _Leg, x: float) -> str:
         stage = f" of stage {self.leg + 1}" if len(self._legs) > 1 else ""
@@ -509,6 +531,9 @@ class _LoadControl(Controller[Step]):
         if over or self._over:
             leg.watch.report()
         self._path = stage + (1.0 if over else leg.x / leg.increments)
+        self._met = self._met or self.problem.is_in_contact()
+        if self.leg >= len(self._legs) and not (self._met or self._leg_over or self._over):
+            done = replace(done, findings=(*done.findings, *self.problem.never_met(done.findings)))
         return Step(**vars(done), load=leg.stand(leg.x), stage=stage, path=self._path)
 
     def _turn(self) -> None:
@@ -524,14 +549,8 @@ class _LoadControl(Controller[Step]):
 
     def failure(self, reason: str) -> str:
         reason += RESTLESS if self._restless else ""
-        leg = self._legs[self.leg]
-        leg.load.set(leg.end)
-        far = self.problem.bodies.way_over_size()
-        leg.load.set(leg.value(leg.x))
-        if far > FAR:
-            reason += (
-                f"; what is prescribed is to lead a body by {far:.2g} times its size: is it in the units of the mesh?"
-            )
+        if (far := self._farthest(self._legs[self.leg])) > FAR:
+            reason += f"; {UNITS.format(far)}"
         return f"no convergence at {self._tried} with the smallest step: {reason}; the steps up to {self._at} are converged"
 
 

@@ -128,6 +128,21 @@ def test_no_increment_jumps_over_a_bar_with_a_rigid_roller():
     np.testing.assert_allclose(forces[0], forces[1], atol=1e-6 * np.linalg.norm(forces[1]))
 
 
+@pytest.mark.parametrize("way, said", [([0, -GAP / 2], [GAP / 2]), ([5, 0], [math.inf]), ([0, -1.2 * GAP], [])])
+def test_a_march_without_contact_says_how_near_the_bodies_come(way, said):
+    """A block goes down by a part of the gap, or aside, where nothing faces the bar: the last step says it. It does not
+    where the block has touched and is lifted off."""
+    problem, motion = block_over_bar()
+    stages = [quasistatic.Stage(motion, to, 2) for to in (way, [0, GAP])[: 1 if said else 2]]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ModelWarning)
+        steps = list(quasistatic.march(problem, stages))
+    found = [[f.value for f in step.findings if "least gap" in f.name] for step in steps]
+    assert problem.pairs[0].closed_fraction() == 0
+    assert not any(found[:-1])
+    np.testing.assert_allclose(found[-1], said, rtol=1e-6)
+
+
 def test_an_overlap_between_the_points_is_said():
     """A tip hangs down by 0.03 m in the middle of the block's two facets of 0.1 m. It goes 0.003 m into the bar, of which the
     next Gauss point, 0.0113 m beside it and 0.0034 m higher, feels nothing."""
