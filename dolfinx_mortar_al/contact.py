@@ -787,16 +787,17 @@ class ContactPair(PairFindings):
             self.evaluate()
 
     def unfelt(self) -> list[Finding]:
-        """In statics, what contact has not felt, or hardly: surfaces that a step has carried through each other, overlaps
-        between the integration points, and in contact, patches and ripples (collective)."""
-        if isinstance(self.kinematics, StepLevel):
-            return []
+        """What contact has not felt, or hardly: surfaces that a step has carried through each other, overlaps between the
+        integration points, and in contact in statics, patches and ripples. In motion they are told, and a step fails for
+        points alone that have passed (collective)."""
         if self._unfelt is None:
             c = self.contact
             surface = c.target if isinstance(c.target, Surface) else None
             self._unfelt = Unfelt(c.contactor, self.facets, self.target, surface, self._bodies, self.name)
         k, closed = self.kinematics, self.state.status != OPEN
         found = self._unfelt.look(self.integration, k.contactor(), k.at, closed, self._converged)
+        if isinstance(k, StepLevel):
+            return [replace(finding, fatal=False) for finding in found]
         hardly = self.overlap_in_contact(), self.patches(), self.ripples()
         return [*found, *(finding for finding in hardly if finding is not None)]
 

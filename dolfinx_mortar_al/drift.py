@@ -23,6 +23,7 @@ SHARE = 1e-6  # of a run's energy or momenta: what Newton's tolerance, 1e-11, le
 STORED = 0.01  # of the round-off of a body's forces times its size: that of its stored energy
 # of a facet: one that turns by an angle θ rises by θ/8 of its length over its chord; two that meet, each turning by 1 rad
 DEPTH = 0.25
+LOSS = 0.1  # of the energy in a step: as much as the row of nodes that lands of a body five cells high has
 
 UNBOOKED = "the ledger has no source of it: does a load act that the Motion does not know (external=)?"
 OF_THE_SCHEME = (
@@ -30,11 +31,15 @@ OF_THE_SCHEME = (
     'or a law with force="consistent"; or a load acts that the Motion does not know (external=)'
 )
 PUSHED = "no external force is known to act on these bodies: does a load act that the Motion does not know (external=)?"
+LOST = (
+    "so much of the energy has been lost in one step to nodes that come to rest on what they hit: shorter steps and finer "
+    "meshes there lose less"
+)
 DEEP = "a closed point lies deep behind the target's surface: take shorter steps or finer facets"
 
 
 class DriftMonitor:
-    """Energy beyond that of the start and the work done, momenta of free bodies, penetration.
+    """Energy beyond that of the start and the work done, losses in single impacts, momenta of free bodies, penetration.
 
     Energy is not looked at while prescribed displacements move, whose work the ledger does not have; momenta where nothing
     is prescribed and there are neither external loads nor rigid obstacles, components one by one.
@@ -59,6 +64,7 @@ class DriftMonitor:
         self._reach = max_over(comm, float(max(reach)))
         self._round_off = STORED * float(problem.force_floor.sum()) * problem.bodies.diameter()  # (J)
         self._mass = sum(motion.mass for motion in problem.motions)
+        self._lost = start.impact_loss  # until the last step (J)
         self._energy = 0.0  # the largest so far, of what has been there or was put in (J)
 
     def look(self, ledger: Ledger, depths: Sequence[float]) -> list[Finding]:
@@ -71,6 +77,9 @@ class DriftMonitor:
         if gain > SHARE * energy + self._round_off and not self._is_driven():
             weighted = any(motion.has_weighted_forces for motion in self._motions)
             found.append(("energy gained (J)", gain, OF_THE_SCHEME if weighted else UNBOOKED))
+        lost, self._lost = ledger.impact_loss - self._lost, ledger.impact_loss
+        if lost > LOSS * energy + self._round_off:
+            found.append(("impact loss (share of the energy)", lost / energy, LOST))
         scale = np.sqrt(2 * self._mass * energy)  # the momentum of all if all of the energy were kinetic
         moved = np.abs(np.subtract(ledger.momentum, start.momentum))[self._free].max(initial=0.0)
         if moved > SHARE * scale:

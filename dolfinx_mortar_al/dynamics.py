@@ -42,6 +42,11 @@ GAIN = (
 COPIES = (
     "they are kept as the displacement of the last step, and rates made of them count by θ only: pass Motion(old=…)"
 )
+PARTED = (
+    "the bodies overlapped at the start, and were moved apart, which has stored this energy in them that no load has put in: "
+    "part them in the meshes, or, if one is pressed into the other, begin from quasistatic.equilibrate"
+)
+UNMEANT = 0.05  # of the energy at the start: a static solution's is changed by less
 SAFETY = 0.9  # of the Δt that would just meet the tolerance
 FAR = 2.0  # times the tolerance beyond which a step is repeated
 
@@ -193,6 +198,7 @@ class _TimeControl(Controller[Step]):
         self._rate: Array | None = None
         self._next_rate: Array | None = None
         self._time, self._number = way.start, 1
+        self._told: list[Finding] = []  # of the start, with the first step
 
     def begin(self) -> None:
         for motion in self.motions:
@@ -205,10 +211,18 @@ class _TimeControl(Controller[Step]):
         self.problem.evaluate()
         touches = any(pair.touches().any() for pair in self.problem.pairs)
         if self._given is None and any_over(self.problem.comm, touches):
-            self._admit()
+            self._told = self._admitted()
         now = self._with_state(Ledger(0.0, 0.0) if self._given is None else self._given)
         self.ledger = now if self._given is None else self._given
         self._drift = DriftMonitor(self.problem, now)
+
+    def _admitted(self) -> list[Finding]:
+        """Move bodies that touch apart as far as they overlap; what there is to be said of it (collective)."""
+        before = self._with_state(Ledger(0.0, 0.0)).strain
+        self._admit()
+        now = self._with_state(Ledger(0.0, 0.0))
+        stored = now.strain - before
+        return [Finding("energy of an overlap (J)", stored, (), PARTED, False)] if stored > UNMEANT * now.total else []
 
     def _admit(self) -> None:
         """Begin with positions that contact's law over a step allows, as near as may be: without inertia, nodes held by
@@ -323,6 +337,8 @@ class _TimeControl(Controller[Step]):
         for motion in self.motions:
             motion.undo()
         self.move(time)
+        for motion in self.motions:
+            motion.begin_loads()
         for pair in self.problem.pairs:
             pair.begin_step()
         self.move(time + Δt)
@@ -428,7 +444,8 @@ class _TimeControl(Controller[Step]):
         self._time, self._rate, self.ledger = self._end, self._next_rate, self._next_ledger
         self._number += int(done.nominal)
         depths = [pair.penetration() for pair in self.problem.pairs]
-        said = vars(done) | {"findings": (*done.findings, *self._drift.look(self.ledger, depths))}
+        said = vars(done) | {"findings": (*self._told, *done.findings, *self._drift.look(self.ledger, depths))}
+        self._told = []
         return Step(
             **said, time=self._time, step=self._trial, ledger=self.ledger, forces=self._forces,
             penetration=max(depths, default=0.0),

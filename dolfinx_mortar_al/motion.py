@@ -29,7 +29,8 @@ class Motion:
     Args:
         u: the :class:`~dolfinx_mortar_al.body.Body`, which says all but the scheme; or its displacement (m), at the start
             state, with what follows in the words of a Body.
-        material, density, thickness, external: as of a Body; loads must be dead.
+        material, density, thickness, external: as of a Body; loads must be dead. Those that `move` changes act with the mean
+            of their values at both ends of a step (weighted with θ), of second order in Δt.
         step: Δt (s), the longest that will be used. A Constant in place of a number is one that forms may hold: a march
             sets it to the Δt of each trial, and back at its end.
         theta: θ of the scheme, 1/2 ≤ θ ≤ 1; anything but 1/2 dissipates.
@@ -83,9 +84,13 @@ class Motion:
         w = ufl.TestFunction(V)
         rate = (self.new_velocity() - self.velocity) / self.time_step
         self.residual = self._per_mass(ufl.inner(rate, w)) + sum(work.form for work in self.works)
-        if self.external is not None:
-            self.residual -= self.external
-        loads = None if self.external is None else ufl.replace(self.external, {w: self.u - self.old})
+        self._twins: list[
+            tuple[Any, Any]
+        ] = []  # Constants and Functions of the loads, and their values at the step's start
+        mean = None if self.external is None else self._mean_of_loads(self.external)
+        if mean is not None:
+            self.residual -= mean
+        loads = None if mean is None else ufl.replace(mean, {w: self.u - self.old})
         self._external_work = None if loads is None else self._compiled(loads)
         self._internal = [self._compiled(work.work) for work in self.works if work.work is not None]
         self._others = self._of_same_space()
@@ -93,6 +98,22 @@ class Motion:
         self._done = 0.0  # by internal forces without a stored energy, since the start (J)
         self._energies = self.energy_forms()
         self._momenta = self._momentum_forms()
+
+    def _mean_of_loads(self, external: ufl.Form) -> ufl.Form:
+        """The virtual work of loads with the θ-weighted values over the step of all that they depend on."""
+        for c in external.constants():
+            self._twins.append((c, fem.Constant(self.u.function_space.mesh, np.array(c.value))))
+        for f in external.coefficients():
+            self._twins.append((f, f.copy()))
+        return ufl.replace(external, {now: (1 - self.theta) * last + self.theta * now for now, last in self._twins})
+
+    def begin_loads(self) -> None:
+        """Loads stand as they are at the start of the step."""
+        for now, last in self._twins:
+            if isinstance(now, fem.Function):
+                last.x.array[:] = now.x.array
+            else:
+                last.value = now.value
 
     def _per_mass(self, quantity: Any) -> Any:
         """∫ ρ h quantity over all parts, as a form."""
@@ -247,7 +268,10 @@ def _old_of(body: Body, old: fem.Function | None) -> fem.Function:
     if not isinstance(old, fem.Function) or old is body.u or old.function_space != body.u.function_space:
         raise ValueError(f"old = {old}: pass the Function of u's space, other than u, that the forms hold")
     if not any(isinstance(part.material, ufl.Form) and old in part.material.coefficients() for part in body.parts):
-        raise ValueError(f"old = {old}: no form of the body holds it; leave it out")
+        raise ValueError(
+            f"old = {old}: no form of the body holds it; leave it out, or, where the number 0 multiplies it and UFL drops "
+            "it, make that a Constant"
+        )
     old.x.array[:] = body.u.x.array
     return old
 

@@ -567,8 +567,8 @@ class NewtonSolver:
             parts.append(f"{', '.join(far)}: leave it out")
         elif self._nearest_is_unstable() and p.motions:
             parts.append(
-                "the Jacobian's determinant is negative on the way: matter is near inversion, or Δt is long for how it "
-                "moves; take a smaller one, or a law that resists compression"
+                "the Jacobian's determinant is negative on the way: Δt is long for how it moves; take a smaller one; "
+                "or matter is near inversion: take a law that resists compression"
             )
         elif self._nearest_is_unstable():
             parts.append(

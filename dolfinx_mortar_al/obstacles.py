@@ -78,6 +78,12 @@ class Obstacle(ABC):
         self._pose = Pose.initial(len(pivot))
 
     @property
+    def smallest_radius(self) -> float:
+        """Of its surface where that bulges (m), infinite where it does not: what is smaller than the distance of integration
+        points may get between them."""
+        return np.inf
+
+    @property
     def reach(self) -> float:
         """The length that its surface is computed with (m): as a share of it distances from the obstacle have round-off."""
         return float(np.linalg.norm(self.pivot))
@@ -196,6 +202,10 @@ class RigidSphere(Obstacle):
     def reach(self) -> float:
         return super().reach + self.radius
 
+    @property
+    def smallest_radius(self) -> float:
+        return np.inf if self.inside else self.radius
+
     def _nearest(self, r: Array) -> _Nearest:
         e, defined = _direction(r, np.eye(self.gdim)[0], self.radius)
         side = -1.0 if self.inside else 1.0
@@ -224,6 +234,10 @@ class RigidCylinder(Obstacle):
     @property
     def reach(self) -> float:
         return super().reach + self.radius
+
+    @property
+    def smallest_radius(self) -> float:
+        return np.inf if self.inside else self.radius
 
     def _nearest(self, r: Array) -> _Nearest:
         along = (r @ self.axis)[:, None] * self.axis

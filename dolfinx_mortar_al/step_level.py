@@ -21,10 +21,11 @@ from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.kinematics import Forces, Kinematics
 from dolfinx_mortar_al.law import OPEN, STICK, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.lever import Lever
+from dolfinx_mortar_al.obstacles import Pose
 from dolfinx_mortar_al.projection import Projection, TargetPoint, dot
 from dolfinx_mortar_al.rays import DEEP
-from dolfinx_mortar_al.swept import DEPTH, passed_through
-from dolfinx_mortar_al.targets import DeformableTarget, Place
+from dolfinx_mortar_al.swept import DEPTH, passed_obstacle, passed_through
+from dolfinx_mortar_al.targets import DeformableTarget, Place, RigidTarget
 from dolfinx_mortar_al.variation import Slots, Variation, scaled_normal, vary_gap
 
 __all__ = ["Rates", "StepLevel", "StepWork"]
@@ -241,6 +242,10 @@ class StepLevel(Kinematics):
             depth = DEPTH * self.target.size
             x0, counts = self._x0[free], self.target.crossable(self._now, free)
             passed[free] = passed_through(self.target.surface, before, after, x0, self.x[free], depth, counts)
+        elif isinstance(self.target, RigidTarget):
+            assert isinstance(self._place0, Pose)
+            depth = DEPTH * self.target.size
+            passed[free] = passed_obstacle(self.target.obstacle, self._place0, self._x0[free], self.x[free], depth)
         return passed
 
     # ---------------------------------------------------------------- forces

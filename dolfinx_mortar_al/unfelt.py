@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import basix
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.inside import Inside
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.monitors import Finding
-from dolfinx_mortar_al.obstacles import Pose
+from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import Projection
 from dolfinx_mortar_al.reductions import any_over
 from dolfinx_mortar_al.self_target import SelfTarget
@@ -65,6 +66,7 @@ ELSEWHERE = (
 FOLDS = "a membrane has folded over in the step, which it does in compression alone; take smaller steps"
 SHARE = 0.02  # of the longer facet: what overlaps by less is an error of the mesh
 FOLDED = -0.5  # cosine of the normals of a facet and its neighbour, or in its middle and elsewhere on it
+LATTICE = 16  # parts of a facet's edge at most, between which a rigid obstacle is looked for
 DEEPEST = 0.25  # of the longer facet: no error of the mesh,
 TOLD = DEEPEST / 2  # and what is said: in contact that is right nodes are .1 deep at most (docs/robustness.md)
 
@@ -224,8 +226,9 @@ class Unfelt:
         nodes = self._nodes(self._contactor, self._contactor.of_nodes(spacing))
         if isinstance(self._target, RigidTarget):
             assert isinstance(before.place, Pose)
+            parts = open_, nodes, self._between(self._target.obstacle, spacing)
             return self._folds((self._contactor,)) or self._findings(
-                [self._at_obstacle(self._target, part, before.place) for part in (open_, nodes)]
+                [self._at_obstacle(self._target, part, before.place) for part in parts]
             )
         self._take_target(at, closed, before)
         others = self._nodes(self._other, np.zeros(len(self._other.target.nodes)))
@@ -271,6 +274,22 @@ class Unfelt:
         loose, silent = (side.of_nodes(~values) == 0.0 for values in (~side.closed, side.silent))
         every = _Points(side.before, side.target.nodes, surface.X, loose, silent, extent, reach)
         return every.take(np.arange(self._comm.rank, len(silent), self._comm.size))
+
+    def _between(self, obstacle: Obstacle, spacing: Array) -> _Points:
+        """Points of this rank's facets without contact that a narrow obstacle comes near, a quarter of its radius apart;
+        `spacing` (nf,) of the integration points (m)."""
+        target, surface = self._contactor.target, self._contactor.target.surface
+        facets = self._own[self._contactor.silent[self._own]]
+        parts = int(np.ceil(4 * target.extents[facets].max(initial=0.0) / obstacle.smallest_radius))
+        facets = facets if parts > 1 else facets[:0]
+        nodes = target.nodes[surface.facets[facets]]
+        clearance = -obstacle.project(nodes.reshape(-1, nodes.shape[2])).g.reshape(nodes.shape[:2])
+        facets = facets[(clearance < target.extents[facets][:, None]).any(axis=1)]
+        η = basix.create_lattice(surface.shape.cell, min(max(parts, 1), LATTICE), basix.LatticeType.equispaced, True)
+        N, own = surface.shape.tabulate(η)[0], surface.facets[facets]
+        x0, x, X = ((N @ v[own]).reshape(-1, v.shape[1]) for v in (self._contactor.before, target.nodes, surface.X))
+        of, every = np.repeat(facets, len(η)), np.ones(len(x), dtype=bool)
+        return _Points(x0, x, X, every, every, target.extents[of], spacing[of])
 
     # ---------------------------------------------------------------- what is found
 

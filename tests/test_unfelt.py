@@ -157,6 +157,24 @@ def test_an_overlap_between_the_points_is_said():
     np.testing.assert_allclose(found[0].X, [0.0, 0.02], atol=1e-12)
 
 
+@pytest.mark.parametrize("radius", [0.003, 0.5])
+def test_a_pin_between_the_points_is_said(radius):
+    """A pin of radius 3 mm goes 2.5 mm into the middle between two Gauss points, .058 m apart, of a facet of .1 m, which the
+    points do not feel and the nodes do not see; one of .5 m is felt."""
+    body = Body([-0.1, 0.0], [0.1, HIGH], (2, 2))
+    pin = RigidSphere([0.05, -radius], radius)
+    contact = Contact(body.surface(BOTTOM), pin, quadrature_degree=3)
+    problem = ContactProblem(body.F, body.u, bcs=[body.held(body.top, np.zeros(2))], contacts=[contact])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ModelWarning)
+        steps = drive(problem, lambda t: pin.move([0.0, 0.0025 * t]))
+    found = [f for f in steps[-1].findings if "not felt" in f.name]
+    assert (problem.pairs[0].closed_fraction() == 0) == (radius < 0.01) == (len(found) == 1)
+    if found:
+        assert found[0].value == pytest.approx(0.025, rel=1e-6)
+        np.testing.assert_allclose(found[0].X, [0.05, 0.0], atol=1e-9)
+
+
 @pytest.mark.parametrize("swap", [False, True])
 @pytest.mark.parametrize("side", [(0, 0), (0, 1)])
 def test_the_wrong_surface_of_a_body(side, swap):

@@ -1,0 +1,143 @@
+"""What motion must not pass over: obstacles and surfaces that a step goes through, energy that comes from nowhere or goes in
+one step, loads that change within a step."""
+
+import warnings
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, dynamics, materials, obstacles
+from dolfinx_mortar_al.monitors import ModelWarning
+from meshes.boxes import Box, create_boxes
+
+LOWER, UPPER, SIDE, BASE = 11, 12, 13, 14
+DENSITY = 1000.0
+
+
+def block(low, size, cells, E=1e7, *, step, speed=(0.0, 0.0), external=None, sides=None):
+    """A block in flight whose surface is LOWER, or what `sides` say: (motion, tags)."""
+    faces = {(len(low) - 1, 0): LOWER} if sides is None else sides
+    domain, _, tags = create_boxes(MPI.COMM_WORLD, [Box(low, size, cells, 1, faces)], simplices=True)
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (len(low),))))
+    body = Body(u, materials.neo_hookean(E, 0.3), density=DENSITY, external=external and external(domain))
+    motion = dynamics.Motion(body, step=step)
+    motion.velocity.interpolate(lambda x: np.outer(speed, np.ones(x.shape[1])))
+    return motion, tags
+
+
+def run(problem, **options):
+    """All steps of a march, its warnings aside."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ModelWarning)
+        return list(dynamics.march(problem, **options))
+
+
+def named(steps, words):
+    return [f for step in steps for f in step.findings if words in f.name]
+
+
+# ---------------------------------------------------------------- obstacles
+
+
+def on_a_pin():
+    """10 m/s onto a pin of 3 mm radius: a step carries the block by 1 cm."""
+    motion, tags = block([-0.05, 0.012], [0.1, 0.1], [10, 10], step=1e-3, speed=(0.0, -10.0))
+    return motion, tags, obstacles.RigidSphere([0.0012, 0.0], 0.003), {"to": 0.004}
+
+
+def swept_by_a_roller():
+    """A roller of .1 m diameter goes through a block at rest of its size in a step of .5 m."""
+    sides = {(axis, end): LOWER for axis in (0, 1) for end in (0, 1)}
+    motion, tags = block([0.0, -0.05], [0.1, 0.1], [5, 5], 1e8, step=5e-3, sides=sides)
+    roller = obstacles.RigidSphere([-0.06, 0.0], 0.05)
+    return motion, tags, roller, {"to": 5e-3, "move": lambda t: roller.move([100 * t, 0.0])}
+
+
+def on_a_cylinder():
+    """A flat block in space falls by .1 m a step onto a cylinder of 4 cm diameter."""
+    motion, tags = block([0.0, 0.0, 0.06], [0.05, 0.05, 0.02], [2, 2, 1], 1e8, step=5e-3, speed=(0.0, 0.0, -20.0))
+    return motion, tags, obstacles.RigidCylinder([0.025, 0.0, 0.03], [0, 1, 0], 0.02), {"to": 5e-3}
+
+
+@pytest.mark.parametrize("scene", [on_a_pin, swept_by_a_roller, on_a_cylinder])
+def test_no_step_goes_through_an_obstacle(scene):
+    """What would have flown on is met: by its momentum along the obstacle's relative way, less than half of the incoming
+    one is left in that direction (all was, of each of them)."""
+    motion, tags, obstacle, options = scene()
+    problem = ContactProblem(motion, contacts=[Contact(Surface(motion.u.function_space.mesh, tags, LOWER), obstacle)])
+    *_, last = run(problem, **options)
+    v = np.array(last.ledger.momentum) / motion.mass
+    relative = v[0] - 100.0 if scene is swept_by_a_roller else v[-1]
+    assert relative > -5.0
+
+
+# ---------------------------------------------------------------- surfaces
+
+
+def falling(name, gap=0.01):
+    """A block in free fall onto a slab, whose top or side is named, without friction."""
+    block_ = Box([-0.05, gap], [0.1, 0.1], [4, 4], 1, {(1, 0): LOWER})
+    slab = Box([-0.3, -0.1], [0.6, 0.1], [10, 2], 2, {(1, 1): UPPER, (1, 0): BASE, (0, 1): SIDE})
+    domain, cells, tags = create_boxes(MPI.COMM_WORLD, [block_, slab], simplices=False)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    held = fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, tags.find(BASE)), V)
+    weight = (ufl.as_vector((0.0, -9.81 * DENSITY)), ufl.Measure("dx", domain, subdomain_data=cells)(1))
+    body = Body(fem.Function(V), materials.neo_hookean(1e6, 0.3), density=DENSITY, external=weight, bcs=[held])
+    contact = Contact(Surface(domain, tags, LOWER), Surface(domain, tags, name))
+    return ContactProblem(dynamics.Motion(body, step=2e-3), contacts=[contact])
+
+
+@pytest.mark.parametrize("name", [UPPER, SIDE])
+def test_the_wrong_surface_is_said(name):
+    """From .01 m it falls in .045 s; in .08 s it would have fallen by .031 m, nearly a facet into the slab."""
+    steps = run(falling(name), to=0.08)
+    assert (len(named(steps, "nodes in the other body")) > 0) == (name == SIDE)
+    assert not any(f.fatal for step in steps for f in step.findings)
+
+
+@pytest.mark.parametrize("depth", [0.0, 0.01])
+def test_the_energy_of_an_overlap_is_said(depth):
+    """Blocks that overlap by .01 m are moved apart before the first step, which says what that has stored: all the energy
+    there is. Those that touch have none."""
+    steps = run(falling(UPPER, gap=-depth), to=4e-3)
+    found = named(steps, "energy of an overlap")
+    assert len(found) == (depth > 0)
+    if found:
+        assert found[0] in steps[0].findings
+        assert found[0].value == pytest.approx(steps[0].ledger.total, rel=0.05)
+
+
+# ---------------------------------------------------------------- loads and losses
+
+
+def test_loads_that_change_act_with_their_mean():
+    """P = 1000 t N/m² on a free block of 1 m² and 1000 kg: momentum 500 t² and work p²/2m to round-off, whatever the step.
+    They were 1000 t/(2 n) off with the value at each step's end."""
+
+    def load(domain):
+        P.append(fem.Constant(domain, 0.0))
+        return (P[0] * ufl.as_vector((1.0, 0.0)), ufl.Measure("dx", domain))
+
+    P: list[fem.Constant] = []
+    motion, _ = block([0.0, 0.0], [1.0, 1.0], [2, 2], step=1e-2, external=load)
+
+    def move(t):
+        P[0].value = 1000.0 * t
+
+    *_, last = dynamics.march(ContactProblem(motion), to=0.1, move=move)
+    assert last.ledger.momentum[0] == pytest.approx(5.0, rel=1e-9)
+    assert last.ledger.external_work == pytest.approx(5.0**2 / 2 / DENSITY, rel=1e-9)
+
+
+@pytest.mark.parametrize("cells, said", [(1, True), (12, False)])
+def test_a_large_loss_in_one_step_is_said(cells, said):
+    """A block of one cell's height lands flat: half of its mass comes to rest; of twelve cells' height a twenty-fourth."""
+    motion, tags = block([0.0, 0.001], [0.1, 0.1], [cells, cells], step=2e-4, speed=(0.0, -1.0))
+    floor = obstacles.RigidPlane([0.0, 0.0], [0.0, 1.0])
+    problem = ContactProblem(motion, contacts=[Contact(Surface(motion.u.function_space.mesh, tags, LOWER), floor)])
+    steps = run(problem, to=2e-3)
+    assert steps[-1].ledger.impact_loss > 0.01
+    assert (len(named(steps, "impact loss")) > 0) == said
