@@ -23,6 +23,8 @@ SHARE = 1e-6  # of a run's energy or momenta: what Newton's tolerance, 1e-11, le
 STORED = 0.01  # of the round-off of a body's forces times its size: that of its stored energy
 # of a facet: one that turns by an angle θ rises by θ/8 of its length over its chord; two that meet, each turning by 1 rad
 DEPTH = 0.25
+SWING = 0.01  # of the prescribed velocities: what round-off and their differences at the start leave is less
+TURNS = 3  # of a velocity in as many steps that are no vibration
 LOSS = 0.1  # of the energy in a step: as much as the row of nodes that lands of a body five cells high has
 
 UNBOOKED = "the ledger has no source of it: does a load act that the Motion does not know (external=)?"
@@ -35,11 +37,16 @@ LOST = (
     "so much of the energy has been lost in one step to nodes that come to rest on what they hit: shorter steps and finer "
     "meshes there lose less"
 )
+SWINGS = (
+    "prescribed velocities swing about that of their way from step to step, as where a support starts or stops at once: let "
+    "it do so over some steps, or end the march there and begin another"
+)
 DEEP = "a closed point lies deep behind the target's surface: take shorter steps or finer facets"
 
 
 class DriftMonitor:
-    """Energy beyond that of the start and the work done, losses in single impacts, momenta of free bodies, penetration.
+    """Energy beyond that of the start and the work done, losses in single impacts, momenta of free bodies, penetration,
+    prescribed velocities that swing.
 
     Energy is not looked at while prescribed displacements move, whose work the ledger does not have; momenta where nothing
     is prescribed and there are neither external loads nor rigid obstacles, components one by one.
@@ -65,6 +72,7 @@ class DriftMonitor:
         self._round_off = STORED * float(problem.force_floor.sum()) * problem.bodies.diameter()  # (J)
         self._mass = sum(motion.mass for motion in problem.motions)
         self._lost = start.impact_loss  # until the last step (J)
+        self._velocities: list[Array] = []  # prescribed ones after the last steps (m/s)
         self._energy = 0.0  # the largest so far, of what has been there or was put in (J)
 
     def look(self, ledger: Ledger, depths: Sequence[float]) -> list[Finding]:
@@ -80,6 +88,8 @@ class DriftMonitor:
         lost, self._lost = ledger.impact_loss - self._lost, ledger.impact_loss
         if lost > LOSS * energy + self._round_off:
             found.append(("impact loss (share of the energy)", lost / energy, LOST))
+        if swing := self._swing():
+            found.append(("prescribed velocity's swing (m/s)", swing, SWINGS))
         scale = np.sqrt(2 * self._mass * energy)  # the momentum of all if all of the energy were kinetic
         moved = np.abs(np.subtract(ledger.momentum, start.momentum))[self._free].max(initial=0.0)
         if moved > SHARE * scale:
@@ -92,6 +102,23 @@ class DriftMonitor:
             if share > DEPTH:
                 found.append((f"{pair.name}: penetration (target facets)", share, DEEP))
         return [Finding(name, float(value), (), meaning, False) for name, value, meaning in found]
+
+    def _swing(self) -> float:
+        """By how much prescribed velocities go to and fro from step to step (m/s), 0 where they do not (collective)."""
+        if not self._any_prescribed:
+            return 0.0
+        now = [m.velocity.x.array[some] for m, some in zip(self._motions, self._prescribed, strict=True)]
+        self._velocities = [*self._velocities, np.concatenate(now)][-TURNS - 1 :]
+        if len(self._velocities) <= TURNS:
+            return 0.0
+        changes = np.diff(self._velocities, axis=0)
+        turns = [sum_over(self._problem.comm, float(a @ b)) for a, b in zip(changes[1:], changes, strict=False)]
+        size, largest = sum_over(
+            self._problem.comm, np.array([changes[-1] @ changes[-1], max(v @ v for v in self._velocities)])
+        )
+        if size <= SWING**2 * largest or max(turns) > -0.9 * size:
+            return 0.0
+        return max_over(self._problem.comm, float(np.abs(changes[-1]).max(initial=0.0)))
 
     def _is_driven(self) -> bool:
         """Whether a prescribed displacement moves (collective)."""

@@ -8,7 +8,7 @@ import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, monitors, obstacles
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, dynamics, materials, monitors, obstacles
 from dolfinx_mortar_al.drift import DEPTH, SHARE, DriftMonitor
 
 SIDE, DENSITY, STEP = 0.1, 1000.0, 1e-3
@@ -69,6 +69,26 @@ def test_a_driven_side_gives_energy():
     clamp = fem.Constant(mesh.create_unit_square(MPI.COMM_SELF, 1, 1), np.zeros(2))
     problem, motion = block(clamp=clamp)
     assert found(problem, motion, move=lambda t: clamp.value.__setitem__(1, 2 * t)) == set()
+
+
+@pytest.mark.parametrize("way, said", [(lambda t: max(0.0, t - 3e-3), True), (lambda t: 0.05 * np.sin(300 * t), False)])
+def test_supports_that_start_at_once_are_said_to_swing(way, said):
+    """A clamp that stands until .003 s and then moves at 1 m/s has 0 and 2 m/s in turns; one that is shaken, a period in 21
+    steps, has the velocity of its way."""
+    u = block()[1].u
+    left = mesh.locate_entities_boundary(u.function_space.mesh, 1, lambda x: x[0] < 1e-9)
+    dofs = fem.locate_dofs_topological(u.function_space, 1, left)
+    clamp = fem.Constant(u.function_space.mesh, np.zeros(2))
+    body = Body(
+        u, materials.neo_hookean(1e6, 0.3), density=DENSITY, bcs=[fem.dirichletbc(clamp, dofs, u.function_space)]
+    )
+    motion = dynamics.Motion(body, step=STEP)
+
+    def move(t):
+        clamp.value[1] = way(t)
+
+    names = found(ContactProblem(motion), motion, move=move)
+    assert ("prescribed velocity's swing (m/s)" in names) == said
 
 
 def test_energy_that_comes_and_goes_leaves_its_round_off():
