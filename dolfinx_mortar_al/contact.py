@@ -795,8 +795,9 @@ class ContactPair(PairFindings):
             surface = c.target if isinstance(c.target, Surface) else None
             self._unfelt = Unfelt(c.contactor, self.facets, self.target, surface, self._bodies, self.name)
         k, closed = self.kinematics, self.state.status != OPEN
-        found = self._unfelt.look(self.integration, k.contactor(), k.at, closed, self._converged)
-        if isinstance(k, StepLevel):
+        moves = isinstance(k, StepLevel)
+        found = self._unfelt.look(self.integration, k.contactor(), k.at, closed, self._converged, known=moves)
+        if moves:
             return [replace(finding, fatal=False) for finding in found]
         hardly = self.overlap_in_contact(), self.patches(), self.ripples()
         return [*found, *(finding for finding in hardly if finding is not None)]

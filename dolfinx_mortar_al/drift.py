@@ -114,7 +114,7 @@ class DriftMonitor:
         changes = np.diff(self._velocities, axis=0)
         turns = [sum_over(self._problem.comm, float(a @ b)) for a, b in zip(changes[1:], changes, strict=False)]
         size, largest = sum_over(
-            self._problem.comm, np.array([changes[-1] @ changes[-1], max(v @ v for v in self._velocities)])
+            self._problem.comm, np.array([changes[-1] @ changes[-1], max(float(v @ v) for v in self._velocities)])
         )
         if size <= SWING**2 * largest or max(turns) > -0.9 * size:
             return 0.0

@@ -207,14 +207,23 @@ class Unfelt:
             self._other = _Side(surface, target, bodies)
 
     def look(
-        self, points: IntegrationPoints, now: ContactorPoints, at: Projection, closed: Bool, before: Converged
+        self,
+        points: IntegrationPoints,
+        now: ContactorPoints,
+        at: Projection,
+        closed: Bool,
+        before: Converged,
+        known: bool,
     ) -> list[Finding]:
         """What is found in the present state (collective).
 
         Args:
             points: of integration, which are at `now` and face `at`; closed: (n,) which are in contact.
             before: the last converged state.
+            known: whether it is known that none of the points has passed through, as in motion.
         """
+        if known and isinstance(self._target, SelfTarget):
+            return []
         x0, X = points.interpolate(before.nodes), points.interpolate(self._facets.X)
         if isinstance(self._target, SelfTarget):
             found = [self._through_itself(self._target, now, x0, X, np.flatnonzero(~closed), before.place)]
@@ -222,7 +231,7 @@ class Unfelt:
         spacing = self._take_contactor(points, closed, before)
         facet = self._own[points.facet]
         silent, extents = self._contactor.silent[facet], self._contactor.target.extents[facet]
-        open_ = _Points(x0, now.x, X, silent, silent, extents, np.zeros(len(X))).take(silent)
+        open_ = _Points(x0, now.x, X, silent, silent, extents, np.zeros(len(X))).take(silent & np.bool_(not known))
         nodes = self._nodes(self._contactor, self._contactor.of_nodes(spacing))
         if isinstance(self._target, RigidTarget):
             assert isinstance(before.place, Pose)
