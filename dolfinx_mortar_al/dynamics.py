@@ -356,9 +356,9 @@ class _TimeControl(Controller[Step]):
         return [Finding("Functions of forms with the values of 𝐮_n", copies, (), COPIES, fatal=False)] if copies else []
 
     def _fly(self) -> None:
-        """Start from 𝐮_n + Δt 𝐯_n, where bodies are at the end of the step without forces."""
+        """Start where bodies are that go on as in the last step."""
         for motion in self.motions:
-            motion.fly(1.0)
+            motion.go_on()
         if self.problem.inverted_volume() > 0:  # a long step of a body under strong compression
             for motion in self.motions:
                 motion.undo()

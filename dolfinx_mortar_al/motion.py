@@ -95,6 +95,7 @@ class Motion:
         self._internal = [self._compiled(work.work) for work in self.works if work.work is not None]
         self._others = self._of_same_space()
         self._begun = self.old.x.array.copy()  # 𝐮 at the start of a march
+        self._mean: Array | None = None  # velocity over the last step (m/s)
         self._done = 0.0  # by internal forces without a stored energy, since the start (J)
         self._energies = self.energy_forms()
         self._momenta = self._momentum_forms()
@@ -216,6 +217,7 @@ class Motion:
         self.u.x.scatter_forward()
         self.old.x.array[:] = self.u.x.array
         self._begun = self.old.x.array.copy()
+        self._mean = None
 
     def copies(self) -> int:
         """How many Functions in forms, other than `old`, have followed 𝐮_n since the march began (collective)."""
@@ -229,8 +231,15 @@ class Motion:
         and directions are chosen first."""
         self.u.x.array[:] = self.old.x.array + share * self.time_step.value * self.velocity.x.array
 
+    def go_on(self) -> None:
+        """𝐮 ← 𝐮_n + Δt × the mean velocity over the last step, in which stiff vibrations are gone that 𝐯_n has, to and fro
+        from step to step; at the start 𝐯_n."""
+        velocity = self.velocity.x.array if self._mean is None else self._mean
+        self.u.x.array[:] = self.old.x.array + self.time_step.value * velocity
+
     def accept(self) -> None:
         """The step has converged: 𝐯_n ← 𝐯_{n+1}, 𝐮_n ← 𝐮_{n+1} (collective)."""
+        self._mean = (self.u.x.array - self.old.x.array) / self.time_step.value
         self._done += sum(self.integral(form) for form in self._internal)
         new = (self.u.x.array - self.old.x.array) / (self.theta * self.time_step.value)
         self.velocity.x.array[:] = new - (1 - self.theta) / self.theta * self.velocity.x.array
