@@ -7,9 +7,10 @@ from dolfinx import mesh
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.projection import dot
 from dolfinx_mortar_al.rays import hits
 from dolfinx_mortar_al.search import ray_candidates
-from dolfinx_mortar_al.surface import Surface
+from dolfinx_mortar_al.surface import Surface, surface_normal
 from dolfinx_mortar_al.targets import DeformableTarget
 
 __all__ = ["Inside"]
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 AT_SURFACE = 1e-6  # of a facet: what is crossed nearer than that to a line's ends are the surfaces that it joins
+
+ANY_WAY = np.sqrt([2.0, 3.0, 5.0])  # along no edge or face of a mesh that was made with a purpose
 
 
 class Inside:
@@ -34,7 +37,8 @@ class Inside:
 
     def __call__(self, x: Array, y: Array) -> Bool:
         """(n,) whether 𝐱 (n, gdim), behind the surface's points 𝐲 (n, gdim) closest to them, lie in the body: whether the
-        straight line from one to the other does not cross the body's present boundary. Never in a membrane (collective)."""
+        straight line from one to the other does not cross the body's present boundary, nor lies outside, as one that comes to
+        the surface's rim from beyond its end. Never in a membrane (collective)."""
         if self._surface.is_membrane:
             return np.zeros(len(x), dtype=bool)
         boundary = self._present()
@@ -46,7 +50,16 @@ class Inside:
         slack = AT_SURFACE * surface.size_of_facets
         result = length > slack
         result[found.row[(found.d > slack) & (found.d < length[found.row] - slack)]] = False
-        return result
+        return result & self._is_enclosed(boundary, x)
+
+    def _is_enclosed(self, boundary: DeformableTarget, x: Array) -> Bool:
+        """(n,) whether a line from 𝐱 (n, gdim) leaves the body once more than it enters it."""
+        surface, nodes = boundary.surface, boundary.nodes[boundary.surface.facets]
+        way = np.tile(ANY_WAY[: x.shape[1]] / np.linalg.norm(ANY_WAY[: x.shape[1]]), (len(x), 1))
+        found = hits(surface.shape, nodes, x, way, *ray_candidates(x, way, nodes, 0.0)[:2])
+        m = surface_normal(found.dN @ nodes[found.facet]) * surface.orientation[found.facet, None]
+        leaves = np.where(found.d > 0.0, np.sign(dot(m, way[found.row])), 0.0)
+        return np.asarray(np.bincount(found.row, leaves, minlength=len(x)) > 0.0)
 
     def may_be(self, x: Array) -> Bool:
         """(n,) whether 𝐱 (n, gdim) lie in the box round the body, without which they are not in it (collective)."""

@@ -409,7 +409,7 @@ class _LoadControl(Controller[Step]):
         self._met = False  # whether anything has been in contact in a state of this march
 
     def begin(self) -> None:
-        self._met = self.problem.is_in_contact()
+        self._met = self.problem.is_pressed()  # what touches at the start may be led away
         if self.finished:
             return
         leg = self._legs[self.leg]

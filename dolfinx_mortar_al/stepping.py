@@ -40,7 +40,8 @@ class StepFailure(RuntimeError):
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """A converged step: Newton iterations (rejected trials included), wall time (s), whether it ends at one of the asked-for
+    """A converged step: Newton iterations (rejected trials included; not the linear solves by which contact settles within
+    each, `contact_iteration.py`, which may take most of the time), wall time (s), whether it ends at one of the asked-for
     places (not between them after a cut), why trials on the way to it were rejected, and what the monitors found below
     their bounds."""
 

@@ -119,7 +119,8 @@ class Surface:
             inner = int(np.sum(~np.isin(facets, mesh.exterior_facet_indices(self.mesh.topology))))
             if sum_over(comm, inner):
                 raise ValueError(
-                    f"tag {self.tag} marks facets between two cells; a contact surface lies on the boundary"
+                    f"tag {self.tag} marks facets between two cells; a contact surface lies on the boundary (bodies "
+                    "that share nodes there are joined, as gmsh's fragment does: leave that out)"
                 )
         return facets
 

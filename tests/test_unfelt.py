@@ -128,11 +128,14 @@ def test_no_increment_jumps_over_a_bar_with_a_rigid_roller():
     np.testing.assert_allclose(forces[0], forces[1], atol=1e-6 * np.linalg.norm(forces[1]))
 
 
-@pytest.mark.parametrize("way, said", [([0, -GAP / 2], [GAP / 2]), ([5, 0], [math.inf]), ([0, -1.2 * GAP], [])])
-def test_a_march_without_contact_says_how_near_the_bodies_come(way, said):
-    """A block goes down by a part of the gap, or aside, where nothing faces the bar: the last step says it. It does not
-    where the block has touched and is lifted off."""
-    problem, motion = block_over_bar()
+@pytest.mark.parametrize(
+    "way, gap, said",
+    [([0, -GAP / 2], GAP, [GAP / 2]), ([5, 0], GAP, [math.inf]), ([0, GAP], 0.0, [GAP]), ([0, -1.2 * GAP], GAP, [])],
+)
+def test_a_march_without_contact_says_how_near_the_bodies_come(way, gap, said):
+    """A block goes down by a part of the gap, or aside, where nothing faces the bar, or up from where it touches: the last
+    step says it. It does not where the block has been pressed and is lifted off."""
+    problem, motion = block_over_bar(gap=gap)
     stages = [quasistatic.Stage(motion, to, 2) for to in (way, [0, GAP])[: 1 if said else 2]]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ModelWarning)
@@ -294,9 +297,10 @@ def test_paths_through_a_moving_obstacle(dim):
 
 
 def test_inside_a_thin_body():
-    """Points behind the top of the bar: in it, below it, and in the block's own body, which is another one."""
+    """Points behind the top of the bar: in it, below it, and in the block's own body, which is another one; and beyond its
+    end, from where the way to the rim is in the air all along."""
     body, bcs = bar(2)
     bodies = Bodies([body.F], [body.u], bcs, None)
-    x = np.array([[0.1, -0.02], [0.1, -THICK - 0.01], [0.33, -0.049], [0.0, -0.3]])
-    y = x * [1, 0]
-    assert Inside(body.surface(TOP), bodies)(x, y).tolist() == [True, False, True, False]
+    x = np.array([[0.1, -0.02], [0.1, -THICK - 0.01], [0.33, -0.049], [0.0, -0.3], [0.6, -1e-4]])
+    y = np.clip(x * [1, 0], -0.5, 0.5)
+    assert Inside(body.surface(TOP), bodies)(x, y).tolist() == [True, False, True, False, False]
