@@ -111,12 +111,13 @@ class DriftMonitor:
         self._velocities = [*self._velocities, np.concatenate(now)][-TURNS - 1 :]
         if len(self._velocities) <= TURNS:
             return 0.0
-        changes = np.diff(self._velocities, axis=0)
-        turns = [sum_over(self._problem.comm, float(a @ b)) for a, b in zip(changes[1:], changes, strict=False)]
-        size, largest = sum_over(
-            self._problem.comm, np.array([changes[-1] @ changes[-1], max(float(v @ v) for v in self._velocities)])
-        )
-        if size <= SWING**2 * largest or max(turns) > -0.9 * size:
+        v = np.array(self._velocities)
+        changes = v[1:] - v[:-1]
+        squares, products = (changes[-1:] ** 2).sum(axis=1), (changes[1:] * changes[:-1]).sum(axis=1)
+        parts = np.concatenate([squares, (v**2).sum(axis=1), products])
+        size, *sums = sum_over(self._problem.comm, parts).tolist()
+        largest, turn = max(sums[: TURNS + 1]), max(sums[TURNS + 1 :])
+        if size <= SWING**2 * largest or turn > -0.9 * size:
             return 0.0
         return max_over(self._problem.comm, float(np.abs(changes[-1]).max(initial=0.0)))
 

@@ -84,9 +84,8 @@ class Motion:
         w = ufl.TestFunction(V)
         rate = (self.new_velocity() - self.velocity) / self.time_step
         self.residual = self._per_mass(ufl.inner(rate, w)) + sum(work.form for work in self.works)
-        self._twins: list[
-            tuple[Any, Any]
-        ] = []  # Constants and Functions of the loads, and their values at the step's start
+        # Constants and Functions of the loads, and the like with their values at the step's start
+        self._twins: list[tuple[Any, Any]] = []
         mean = None if self.external is None else self._mean_of_loads(self.external)
         if mean is not None:
             self.residual -= mean
@@ -95,7 +94,7 @@ class Motion:
         self._internal = [self._compiled(work.work) for work in self.works if work.work is not None]
         self._others = self._of_same_space()
         self._begun = self.old.x.array.copy()  # 𝐮 at the start of a march
-        self._mean: Array | None = None  # velocity over the last step (m/s)
+        self._mean_velocity: Array | None = None  # over the last step (m/s)
         self._done = 0.0  # by internal forces without a stored energy, since the start (J)
         self._energies = self.energy_forms()
         self._momenta = self._momentum_forms()
@@ -217,7 +216,7 @@ class Motion:
         self.u.x.scatter_forward()
         self.old.x.array[:] = self.u.x.array
         self._begun = self.old.x.array.copy()
-        self._mean = None
+        self._mean_velocity = None
 
     def copies(self) -> int:
         """How many Functions in forms, other than `old`, have followed 𝐮_n since the march began (collective)."""
@@ -234,12 +233,12 @@ class Motion:
     def go_on(self) -> None:
         """𝐮 ← 𝐮_n + Δt × the mean velocity over the last step, in which stiff vibrations are gone that 𝐯_n has, to and fro
         from step to step; at the start 𝐯_n."""
-        velocity = self.velocity.x.array if self._mean is None else self._mean
+        velocity = self.velocity.x.array if self._mean_velocity is None else self._mean_velocity
         self.u.x.array[:] = self.old.x.array + self.time_step.value * velocity
 
     def accept(self) -> None:
         """The step has converged: 𝐯_n ← 𝐯_{n+1}, 𝐮_n ← 𝐮_{n+1} (collective)."""
-        self._mean = (self.u.x.array - self.old.x.array) / self.time_step.value
+        self._mean_velocity = (self.u.x.array - self.old.x.array) / self.time_step.value
         self._done += sum(self.integral(form) for form in self._internal)
         new = (self.u.x.array - self.old.x.array) / (self.theta * self.time_step.value)
         self.velocity.x.array[:] = new - (1 - self.theta) / self.theta * self.velocity.x.array

@@ -429,7 +429,7 @@ class _LoadControl(Controller[Step]):
     def _doubt_units(self) -> None:
         """Warn, on rank 0, of ways that are hardly meant, before thousands of iterations are spent on them; of loads that can
         be set ahead of their time (collective)."""
-        legs = [leg for leg in self._legs if isinstance(leg.load.source, fem.Constant | fem.Function)]
+        legs = [leg for leg in self._legs[self.leg :] if isinstance(leg.load.source, fem.Constant | fem.Function)]
         far = max((self._farthest(leg) for leg in legs), default=0.0)
         if far > VERY_FAR and self.problem.comm.rank == 0:
             warnings.warn(UNITS.format(far), ModelWarning, stacklevel=6)  # the march's caller
