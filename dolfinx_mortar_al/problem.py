@@ -182,8 +182,9 @@ class ContactProblem:
         diameter = self.bodies.diameter()
         #: (pieces,) norm of the bulk's forces at the last evaluation on each connected piece, and their round-off (N)
         self.force_scale: Array = np.zeros(self.bodies.pieces)
-        unit = self.bodies.stiffest(stiffness) * self.bodies.diameters()
-        self.force_floor, self._least_borne = 2e-15 * unit, SLACK * unit
+        #: (pieces,) largest stiffness times diameter: the size of forces that strain a piece by one (N)
+        self.firmness = self.bodies.stiffest(stiffness) * self.bodies.diameters()
+        self.force_floor, self._least_borne = 2e-15 * self.firmness, SLACK * self.firmness
         #: size of forces that a step of bodies in motion resolves, on all pieces (N); None in statics
         self.force_reference: float | None = None
         self.gap_floor = [max(2e-15 * diameter, pair.kinematics.round_off) * pair.area for pair in self.pairs]
@@ -248,6 +249,10 @@ class ContactProblem:
     def _no_press(self) -> Array:
         """(pieces,) forces (N) below which contact does not press on a piece, and ties bear nothing."""
         return np.maximum(NOISE * self.force_floor, self._contact_round_off())
+
+    def force_over_firmness(self) -> float:
+        """The largest norm of the bulk's forces on a piece over those that strain it by one (collective)."""
+        return float((self.bodies.residual(self.bodies.layout.vector()) / self.firmness).max())
 
     def inverted_volume(self) -> float:
         """Reference volume where det F ≤ 0 or is not a number, at the bulk's Gauss points (collective)."""

@@ -59,9 +59,13 @@ MOVED_ON = (
     "dynamics.march shows such motions in time"
 )
 LEAPS = "the bodies let go, tip or snap on the way: no equilibrium near the last one leads there"
-FAR = 10.0  # times a body's size: lengths of other units than the mesh's are a thousand times too large, as a rule;
+FAR = 10.0  # times a body's size or firmness: what is in other units is a thousand times too large, as a rule;
 VERY_FAR = 100.0  # the same before anything has failed: a ball may roll far
-UNITS = "what is prescribed is to lead a body by {:.2g} times its size: is it in the units of the mesh?"
+LED = "what is prescribed is to lead a body by {:.2g} times its size: is it in the units of the mesh?"
+LOADED = (
+    "loads are {:.2g} times those that strain a body by one: are they in the units of its moduli, per area or volume of the "
+    "mesh's units?"
+)
 RESTLESS = "; nor do the bodies come to rest when they are let go"
 
 
@@ -418,21 +422,25 @@ class _LoadControl(Controller[Step]):
         self._at = self._tried = self._words(leg, leg.x)
         self._doubt_units()
 
-    def _farthest(self, leg: _Leg) -> float:
-        """By how many times its size the load's end leads a body from where it is (collective)."""
-        here = leg.load.value
-        leg.load.set(leg.end)
-        far = self.problem.bodies.way_over_size()
-        leg.load.set(here)
-        return far
+    def _doubts(self, legs: Sequence[_Leg], limit: float) -> list[str]:
+        """Questions about the units of loads that lead or load a body by more than `limit` times its size or firmness at their
+        ends (collective)."""
+        sizes = np.zeros(2)  # of the way, of the forces
+        for leg in legs:
+            here = leg.load.value
+            leg.load.set(leg.end)
+            ends = [self.problem.bodies.way_over_size(), self.problem.force_over_firmness()]
+            sizes = np.fmax(sizes, ends)
+            leg.load.set(here)
+        return [text.format(size) for text, size in zip((LED, LOADED), sizes, strict=True) if size > limit]
 
     def _doubt_units(self) -> None:
-        """Warn, on rank 0, of ways that are hardly meant, before thousands of iterations are spent on them; of loads that can
+        """Warn, on rank 0, of loads that are hardly meant, before thousands of iterations are spent on them; of loads that can
         be set ahead of their time (collective)."""
         legs = [leg for leg in self._legs[self.leg :] if isinstance(leg.load.source, fem.Constant | fem.Function)]
-        far = max((self._farthest(leg) for leg in legs), default=0.0)
-        if far > VERY_FAR and self.problem.comm.rank == 0:
-            warnings.warn(UNITS.format(far), ModelWarning, stacklevel=6)  # the march's caller
+        for doubt in self._doubts(legs, VERY_FAR):
+            if self.problem.comm.rank == 0:
+                warnings.warn(doubt, ModelWarning, stacklevel=6)  # the march's caller
 
     def _words(self, leg: _Leg, x: float) -> str:
         stage = f" of stage {self.leg + 1}" if len(self._legs) > 1 else ""
@@ -549,8 +557,7 @@ class _LoadControl(Controller[Step]):
 
     def failure(self, reason: str) -> str:
         reason += RESTLESS if self._restless else ""
-        if (far := self._farthest(self._legs[self.leg])) > FAR:
-            reason += f"; {UNITS.format(far)}"
+        reason = "; ".join([reason, *self._doubts([self._legs[self.leg]], FAR)])
         return f"no convergence at {self._tried} with the smallest step: {reason}; the steps up to {self._at} are converged"
 
 

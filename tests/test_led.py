@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, quasistatic
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from robustness import march
@@ -103,6 +104,26 @@ def test_a_way_in_other_units_than_the_mesh_is_doubted():
             before and not MPI.COMM_WORLD.rank
         )
         assert np.array_equal(way.value, PRESSED)
+
+
+def test_loads_in_other_units_than_the_moduli_are_doubted():
+    """A march that fails on the way to a weight of 10 000 or 300 times the modulus asks for the units, the first one before it
+    begins, too; one to 30 times fails without."""
+    block = Box((0.0, 0.0), (1.0, 1.0), (2, 2), 1, {(1, 0): BASE})
+    domain, _, tags = create_boxes(MPI.COMM_WORLD, [block], simplices=False)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    asks = "are they in the units of its moduli"
+    for times, says, before in ((1e4, True, True), (300.0, True, False), (30.0, False, False)):
+        u, weight = fem.Function(V), fem.Constant(domain, (0.0, 0.0))
+        held = fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, tags.find(BASE)), V)
+        body = Body(u, materials.neo_hookean(1e3, 0.3), external=[(weight, ufl.dx(domain))], bcs=[held])
+        with warnings.catch_warnings(record=True) as said, pytest.raises(quasistatic.StepFailure) as failed:
+            warnings.simplefilter("always")
+            steps = quasistatic.march(ContactProblem(body), weight, to=(0.0, -1e3 * times), increments=1, smallest=1.0)
+            list(steps)
+        assert (asks in str(failed.value)) == says, str(failed.value)
+        told = any(asks in str(w.message) and w.filename == __file__ for w in said)
+        assert told == (before and not MPI.COMM_WORLD.rank)
 
 
 @pytest.mark.one_rank
