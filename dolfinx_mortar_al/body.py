@@ -72,7 +72,7 @@ class Body:
     Args:
         u: displacement (m); holds the start state.
         material: what its internal forces come from, on all cells: a law, of a body or a membrane, or a UFL form of an
-            internal virtual work G(u; w); or a list of (law or form, measure of its cells).
+            internal virtual work G(u; w); or a list of (law or form, measure of its cells); a form is over these cells.
         density: ρ per reference volume (kg/m³), needed in motion; a list, if each part of a list of materials has its own.
         thickness: out of the plane (m), that of the contacts, too. A membrane's law has its own; a form has it written into
             it, and needs it here for its mass.
@@ -154,6 +154,8 @@ class Body:
         for k, (item, ρ) in enumerate(zip(items, densities, strict=True)):
             name = f"material[{k}]" if several else "material"
             law, dx = _on_measure(item, name, "law or form", ("cell",))
+            if isinstance(law, ufl.Form) and several:
+                _check_cells(name, law, dx)
             parts.append(Part(law, cell_measure(self.u, dx), self._depth_of(law, name), ρ))
         return parts
 
@@ -202,6 +204,24 @@ def _on_measure(item: Any, name: str, what: str, kinds: tuple[str, ...]) -> tupl
         names = " or ".join({"cell": "dx", "exterior_facet": "ds"}[kind] for kind in kinds)
         raise ValueError(f"{name}: a measure of {item[1].integral_type()} integrals; pass {names}")
     return item
+
+
+def _check_cells(name: str, form: ufl.Form, dx: ufl.Measure) -> None:
+    """The cell integrals of a form that is given for a measure must be over cells of that.
+
+    Raises:
+        ValueError: on every rank, with the tags of both.
+    """
+    mine = dx.subdomain_id()
+    if mine == "everywhere":
+        return
+    for integral in form.integrals():
+        over = integral.subdomain_id()
+        if integral.integral_type() == "cell" and (over == "everywhere" or not np.isin(over, mine).all()):
+            cells = "all cells" if over == "everywhere" else f"cells of tag {over}"
+            raise ValueError(
+                f"{name}: a form over {cells} for a measure of tag {mine}; write both with the same measure"
+            )
 
 
 def _virtual_work(external: Any, u: fem.Function, width: Any) -> Any:

@@ -423,8 +423,8 @@ class _LoadControl(Controller[Step]):
         self._doubt_units()
 
     def _doubts(self, legs: Sequence[_Leg], limit: float) -> list[str]:
-        """Questions about the units of loads that lead or load a body by more than `limit` times its size or firmness at their
-        ends (collective)."""
+        """Questions about the units of loads that at their ends lead or load a body by more than `limit` times its size or
+        firmness (collective)."""
         sizes = np.zeros(2)  # of the way, of the forces
         for leg in legs:
             here = leg.load.value
@@ -435,8 +435,8 @@ class _LoadControl(Controller[Step]):
         return [text.format(size) for text, size in zip((LED, LOADED), sizes, strict=True) if size > limit]
 
     def _doubt_units(self) -> None:
-        """Warn, on rank 0, of loads that are hardly meant, before thousands of iterations are spent on them; of loads that can
-        be set ahead of their time (collective)."""
+        """Warn, on rank 0, of loads that are hardly meant, before thousands of iterations go to them; of such as can be
+        set ahead of their time (collective)."""
         legs = [leg for leg in self._legs[self.leg :] if isinstance(leg.load.source, fem.Constant | fem.Function)]
         for doubt in self._doubts(legs, VERY_FAR):
             if self.problem.comm.rank == 0:

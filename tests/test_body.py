@@ -7,7 +7,19 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 from test_motion_materials import sheet, square
 
-from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, dynamics, loads, materials, membrane, obstacles
+from dolfinx_mortar_al import (
+    Body,
+    Contact,
+    ContactProblem,
+    Surface,
+    dynamics,
+    loads,
+    materials,
+    membrane,
+    obstacles,
+    quasistatic,
+    reaction,
+)
 from dolfinx_mortar_al.internal_work import CONSISTENT, WORK
 
 E, NU, DENSITY, THICKNESS = 1e5, 0.3, 1e3, 0.02
@@ -101,15 +113,37 @@ def test_membrane_as_by_hand():
 def test_a_law_without_stored_energy():
     """A form of one's own, with its thickness: the residual as it is; in motion its work is booked."""
     u, dx, _ = square()
-    form = THICKNESS * E * ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(ufl.TestFunction(u.function_space))) * dx
+    work = THICKNESS * E * ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(ufl.TestFunction(u.function_space)))
+    form = work * dx
     body = Body(u, form, density=DENSITY, thickness=THICKNESS)
     somewhere(u)
     assert_equal_forms(body.residual, form)
     motion = dynamics.Motion(body, step=1e-2)
     assert motion.known == WORK and motion.has_forms
     assert motion.mass == pytest.approx(DENSITY * THICKNESS, rel=1e-12)
-    both = Body(u, [(form, dx(0)), (materials.neo_hookean(E, NU), dx(1))], density=DENSITY, thickness=THICKNESS)
+    both = Body(u, [(work * dx(0), dx(0)), (materials.neo_hookean(E, NU), dx(1))], density=DENSITY, thickness=THICKNESS)
     assert dynamics.Motion(both, step=1e-2).known == f"{WORK}; {CONSISTENT}"
+    for other in (form, work * dx((0, 1)), work * dx(1)):
+        with pytest.raises(ValueError, match=r"material\[0\]: a form over .*write both with the same measure"):
+            Body(u, [(other, dx(0)), (materials.neo_hookean(E, NU), dx(1))], thickness=THICKNESS)
+
+
+def test_a_bolt_that_shrinks_draws_what_holds_it():
+    """The right half would be shorter by 1e-3 without stress (docs/loading.md); held top and bottom, between sides that do
+    not widen, it draws with E(1 − ν)/((1 + ν)(1 − 2ν)) 1e-3, to the share 1e-3 of large strains."""
+    u, dx, facets = square()
+    V, law, a = u.function_space, materials.neo_hookean(E, NU), fem.Constant(u.function_space.mesh, 0.0)
+    F0 = ufl.diag(ufl.as_vector([1.0, 1.0 - a]))  # the stretch without stress
+    P = ufl.det(F0) * law.first_piola(materials.deformation_gradient(u) * ufl.inv(F0)) * ufl.inv(F0).T
+    bolt = ufl.inner(P, ufl.grad(ufl.TestFunction(V))) * dx(1)
+    ends = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 0.5) | np.isclose(x[1], 1.5))
+    Vx, _ = V.sub(0).collapse()
+    sides = fem.locate_dofs_geometrical((V.sub(0), Vx), lambda x: x[0] > -1.0)
+    bcs = [fem.dirichletbc(np.zeros(2), ends, V), fem.dirichletbc(fem.Function(Vx), sides, V.sub(0))]
+    problem = ContactProblem(Body(u, [(law, dx(0)), (bolt, dx(1))], bcs=bcs))
+    list(quasistatic.march(problem, a, to=1e-3, increments=1))
+    drawn = -reaction(problem, Surface(V.mesh, facets, 1)).force[1]  # on half a metre
+    assert drawn == pytest.approx(E * (1 - NU) / ((1 + NU) * (1 - 2 * NU)) * 1e-3 / 2, rel=2e-3)
 
 
 def test_problem_takes_conditions_and_thickness_from_the_body():

@@ -107,8 +107,8 @@ def test_a_way_in_other_units_than_the_mesh_is_doubted():
 
 
 def test_loads_in_other_units_than_the_moduli_are_doubted():
-    """A march that fails on the way to a weight of 10 000 or 300 times the modulus asks for the units, the first one before it
-    begins, too; one to 30 times fails without."""
+    """A march that fails on the way to a weight of 10 000 or 300 times the modulus asks for the units, the first one before
+    it begins, too; one to 30 times fails without."""
     block = Box((0.0, 0.0), (1.0, 1.0), (2, 2), 1, {(1, 0): BASE})
     domain, _, tags = create_boxes(MPI.COMM_WORLD, [block], simplices=False)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
