@@ -23,8 +23,9 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.bodies import SLACK, Bodies
 from dolfinx_mortar_al.body import Body
 from dolfinx_mortar_al.contact import Contact, ContactPair
+from dolfinx_mortar_al.contact_motions import ContactMotions
 from dolfinx_mortar_al.given import Given
-from dolfinx_mortar_al.law import OPEN, SLIP, STICK
+from dolfinx_mortar_al.law import SLIP, STICK
 from dolfinx_mortar_al.led import lead
 from dolfinx_mortar_al.load import Loads
 from dolfinx_mortar_al.monitors import Finding, Monitor
@@ -61,7 +62,6 @@ SLIDE = (
     "to where it was bears them; refine its surface, or prescribe the motion that is free, of one node"
 )
 TOLD = 1e-3  # share of the contact forces that a tie may bear, or round-off may be, unsaid
-ROLLS = 0.01  # share of the squares of velocities along surfaces below which a motion is a rolling
 OUT_OF_BALANCE = 0.1  # of the worst: loose bodies that a failed solve names
 LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
 NOISE = 1e-3  # share of round-off in a body's forces below which a tie bears nothing, and contact does not press on it
@@ -168,6 +168,7 @@ class ContactProblem:
         self.members |= {f"pair{k}": pair for k, pair in enumerate(self.pairs)}
         self.members |= {f"motion{k}": motion for k, motion in enumerate(self.motions)}
         self._touched = [self._pieces_of(pair) for pair in self.pairs]
+        self._contact_motions = ContactMotions(self.bodies, self.pairs, self._touched)
         with self.stopwatch("bulk"):
             stiffness = self._create_matrices()
         for pair in self.pairs:
@@ -240,7 +241,7 @@ class ContactProblem:
     def _contact_round_off(self, counts: NDArray[np.bool_] | None = None) -> Array:
         """(pieces,) what the round-off of positions makes of the contact forces on each (N), of the pairs that count."""
         every = np.array([pair.force_round_off for pair in self.pairs])
-        return self._on_pieces(list(every if counts is None else every * counts))
+        return self._contact_motions.on_pieces(list(every if counts is None else every * counts))
 
     def is_pressed(self) -> bool:
         """Whether contact presses on anything, by more than round-off (collective)."""
@@ -640,91 +641,13 @@ class ContactProblem:
 
     def _pressing(self) -> Array:
         """(pieces,) what pairs press on each piece with, balanced or not (N, collective)."""
-        return self._on_pieces([pair.pressing() for pair in self.pairs])
-
-    def _on_pieces(self, values: Sequence[float]) -> Array:
-        """(pieces,) the sum over the pairs that touch each piece of one value per pair."""
-        return np.asarray(np.array(values) @ np.array(self._touched, dtype=float).reshape(-1, self.bodies.pieces))
-
-    def _relative(self, motions: Array) -> list[Array]:
-        """(n, motions, gdim) velocities of each pair's points relative to what they face that displacements (owned dofs,
-        motions) bring about (collective)."""
-        u, here = self.bodies.get(), [pair.apart() for pair in self.pairs]
-        there = []
-        for m in motions.T:
-            self.bodies.set(u + m)
-            there.append([pair.apart() - x for pair, x in zip(self.pairs, here, strict=True)])
-        self.bodies.set(u)
-        for pair in self.pairs:
-            pair.apart()
-        return [np.stack(v, axis=1) for v in zip(*there, strict=True)]
-
-    def _rubbing(self, motion: Array) -> Array:
-        """(pieces,) mean square over the contact forces on each piece of the velocities along surfaces with friction that a
-        displacement (owned dofs,) is (collective)."""
-        rubbed, pressed = [], []
-        for pair, v in zip(self.pairs, self._sliding(motion[:, None]), strict=True):
-            weight = pair.j * pair.state.p
-            rubbed.append(float(np.sum(weight * np.sum(v**2, axis=(1, 2)))))
-            pressed.append(float(np.sum(weight)))
-        sums = sum_over(self.comm, np.array([rubbed, pressed]))
-        squares, forces = (self._on_pieces(list(each)) for each in sums)
-        return squares / np.maximum(forces, 1e-300)
-
-    def _sliding(self, motions: Array) -> list[Array]:
-        """(n, motions, gdim) what of :meth:`_relative` goes along surfaces with friction, for each pair (collective)."""
-        along = []
-        for pair, v in zip(self.pairs, self._relative(motions), strict=True):
-            ν = pair.at.ν[:, None]
-            along.append(v - np.sum(v * ν, axis=2, keepdims=True) * ν if pair.friction else np.zeros_like(v))
-        return along
+        return self._contact_motions.on_pieces([pair.pressing() for pair in self.pairs])
 
     def dragged(self) -> Array:
-        """(pieces, motions) what ties would bear more (N) if the pieces went on along them by what undoes, by least squares
-        over the contact forces, how far surfaces with friction have slid in this step (collective)."""
+        """(pieces, motions) what ties would bear more (N) if the pieces went on along them by what undoes how far surfaces
+        with friction have slid in this step (collective)."""
         assert self.ties is not None
-        n = len(self.ties.ways)
-        A: Array = np.zeros((n, n))
-        b: Array = np.zeros(n)
-        for pair, v in zip(self.pairs, self._sliding(self.ties.ways.T), strict=True):
-            weight = pair.j * pair.state.p
-            A += np.einsum("n,nkd,nld->kl", weight, v, v)
-            b -= np.einsum("n,nkd,nd->k", weight, v, pair.slid())
-        amounts = np.linalg.pinv(sum_over(self.comm, A), rcond=ROLLS, hermitian=True) @ sum_over(self.comm, b)
-        return self.ties.further(amounts)
-
-    def _holding(self, motions: Array) -> Array:
-        """(motions, motions) mean over the area that faces a target of 𝐦⊗𝐦 where it touches, the relative velocities that
-        displacements (owned dofs, motions) are, of which without friction the normal parts count (collective)."""
-        total, faced = np.zeros((motions.shape[1],) * 2), 0.0
-        for pair, v in zip(self.pairs, self._relative(motions), strict=True):
-            area = pair.j * pair.at.facing * np.any(v, axis=(1, 2))
-            if not pair.friction:
-                v = self._normal(pair, v)
-            total += np.einsum("n,nkd,nld->kl", area * pair.touches(), v, v)
-            faced += float(area.sum())
-        return np.asarray(sum_over(self.comm, total) / max(sum_over(self.comm, faced), 1e-300))
-
-    def _holding_now(self, slides: list[bool], motions: Array) -> Array:
-        """(motions, motions) sum over the pairs of such means over the area that is closed, where of pairs that slide all
-        over the normal parts count (collective)."""
-        total = np.zeros((motions.shape[1],) * 2)
-        for pair, v, slide in zip(self.pairs, self._relative(motions), slides, strict=True):
-            total += self._mean(pair, self._normal(pair, v) if slide else v, pair.state.status != OPEN)
-        return total
-
-    @staticmethod
-    def _mean(pair: ContactPair, v: Array, counts: NDArray[np.bool_]) -> Array:
-        """(motions, motions) the mean over the area that is closed of 𝐯⊗𝐯, of relative velocities v (n, motions, ·), zero at
-        points that do not count by `counts` (n,) (collective)."""
-        closed = float(pair.j @ (pair.state.status != OPEN))
-        products = np.einsum("n,nkd,nld->kl", pair.j * counts, v, v)
-        return np.asarray(sum_over(pair.comm, products) / max(sum_over(pair.comm, closed), 1e-300))
-
-    @staticmethod
-    def _normal(pair: ContactPair, v: Array) -> Array:
-        """(n, motions, 1) the normal parts of relative velocities (n, motions, gdim)."""
-        return np.asarray(np.einsum("nkd,nd->nk", v, pair.at.ν)[:, :, None])
+        return self.ties.further(self._contact_motions.that_undo_slip(self.ties.ways.T))
 
     def ties_bear(self) -> Bearing:
         """What ties bear, as shares of the contact forces on each piece (collective). Forces that balance each other on a
@@ -738,7 +661,7 @@ class ContactProblem:
             present,
             self._no_press(),
             self._touched * len(self.pairs),
-            self._rubbing,
+            self._contact_motions.rubbing,
         )
 
     def start_ties(self) -> None:
@@ -747,7 +670,7 @@ class ContactProblem:
         if self.ties is not None:
             self._pressed[:], self._slid[:] = 0.0, False
             first = any(pair.active.guessed for pair in self.pairs)
-            self.ties.begin(self._holding if first else None)
+            self.ties.begin(self._contact_motions.held_by_touch if first else None)
 
     def catch_slipping(self, f: PETSc.Vec, *, begins: bool) -> None:
         """In the middle of a solve: where all points of another pair with friction slip tie what it alone held; f, the
@@ -765,7 +688,7 @@ class ContactProblem:
         if begins:
             return
         self.bulk_forces.array[:] -= self.ties.forces()
-        self.ties.catch(partial(self._holding_now, slides))
+        self.ties.catch(partial(self._contact_motions.held, slides))
         self.bulk_forces.array[:] += self.ties.forces()
         self.add_contact(f)
 
@@ -776,8 +699,8 @@ class ContactProblem:
         would be more than friction bears. f, the residual, is brought up to date (collective)."""
         if self.ties is None or not self._supports_move():
             return
-        rub, stick = self._rub_and_stick()
-        if not rub.any() or not stick[rub].all() or not self.ties.are_spare(self._holding_by_stick):
+        rub, stick = self._contact_motions.rub_and_stick()
+        if not rub.any() or not stick[rub].all() or not self.ties.are_spare(self._contact_motions.held_by_stick):
             return
         self.bulk_forces.array[:] -= self.ties.forces()
         self.ties.release()
@@ -789,21 +712,6 @@ class ContactProblem:
         assert self.ties is not None
         touch = max((pair.kinematics.touch for pair in self.pairs), default=0.0)
         return any(pair.obstacle_moves for pair in self.pairs) or self.ties.supports_move(touch)
-
-    def _rub_and_stick(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """(pairs,) and (pairs,) which pairs with friction touch, and of which points stick (collective)."""
-        states = [pair.state.status if pair.friction else np.zeros(0, dtype=np.int8) for pair in self.pairs]
-        counts = np.array([[np.sum(s != OPEN), np.sum(s == STICK)] for s in states]).reshape(-1, 2)
-        rub, stick = sum_over(self.comm, counts).T > 0
-        return rub, stick
-
-    def _holding_by_stick(self, motions: Array) -> Array:
-        """(motions, motions) sum over the pairs of the mean over the closed area of 𝐦_T⊗𝐦_T where points stick, the relative
-        velocities along surfaces with friction that displacements (owned dofs, motions) are (collective)."""
-        total = np.zeros((motions.shape[1],) * 2)
-        for pair, v in zip(self.pairs, self._sliding(motions), strict=True):
-            total += self._mean(pair, v, pair.state.status == STICK)
-        return total
 
     def tighten_ties(self) -> None:
         """After such a step: tie the pieces to where they are now; the bulk's forces, which are those before it, are brought
