@@ -425,7 +425,7 @@ class _LoadControl(Controller[Step]):
     def _doubts(self, legs: Sequence[_Leg], limit: float) -> list[str]:
         """Questions about the units of loads that at their ends lead or load a body by more than `limit` times its size or
         firmness (collective)."""
-        sizes = np.zeros(2)  # of the way, of the forces
+        sizes: Array = np.zeros(2)  # of the way, of the forces
         for leg in legs:
             here = leg.load.value
             leg.load.set(leg.end)
