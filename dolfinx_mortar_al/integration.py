@@ -34,6 +34,7 @@ ACROSS = 32
 UNFELT = 0.02  # of a facet: overlaps that are said (`unfelt.py`)
 HIGHEST = 30
 APART = 1e-12  # in η: points that are no farther apart are the same
+FLAT = 1e-9  # of the spread of points, that across it counts for none
 ROUND_OFF = 1e-6  # of a number of points: facets that are alike but for it get as many
 
 
@@ -175,6 +176,25 @@ class IntegrationPoints:
         weight = there / (apart + APART**2) ** 2
         weight /= weight.sum(axis=1, keepdims=True)
         return np.asarray(np.einsum("mk,mk...->m...", weight, values[place]))
+
+    def in_line(
+        self, values: Array, kind: Index, wanted: Index, facet: Index, η: Array
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """(m, v) values (n, v) of those of these points that are of the `wanted` kind (m,), of kinds (n,), at (m,) facets
+        and (m, dim) η, affine between and beyond them, weighted as in :meth:`between` (moving least squares); and (m,) where
+        there are enough of them."""
+        place, there = self._places(facet)
+        there &= kind[place] == wanted[:, None]
+        apart = self.η[place] - η[:, None]  # (m, k, dim)
+        weight = there / ((apart**2).sum(axis=2) + APART**2) ** 2
+        weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
+        middle, mean = (np.einsum("mk,mkv->mv", weight, v) for v in (apart, values[place]))
+        off, more = apart - middle[:, None], values[place] - mean[:, None]
+        spread, with_values = (np.einsum("mk,mka,mkv->mav", weight, off, v) for v in (off, more))
+        size = np.trace(spread, axis1=1, axis2=2)
+        spread += (FLAT * size + 1e-300)[:, None, None] * np.eye(η.shape[1])  # points on a line say nothing across it
+        slope = np.linalg.solve(spread, with_values)
+        return mean - np.einsum("ma,mav->mv", middle, slope), there.sum(axis=1) > η.shape[1]
 
     def _places(self, facet: Index) -> tuple[Index, NDArray[np.bool_]]:
         """(m, k) the points on the facets (m,), the last again where there are fewer, and which are no such repetition."""

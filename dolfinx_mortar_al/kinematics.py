@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.carried import carried, components, vary_carried
 from dolfinx_mortar_al.integration import IntegrationPoints
+from dolfinx_mortar_al.last_step import LastStep
 from dolfinx_mortar_al.law import OPEN, STICK, Coulomb, Frictionless, LawState
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot
 from dolfinx_mortar_al.rays import RayHit
@@ -92,7 +93,7 @@ class Kinematics(ABC):
         ρ: (n, gdim) 𝐱 − φ₂(Y_{n−1}) of step n − 1 in the target's frame there (`carried.py`), 0 where it is not needed.
         offset: (n,) depth from which the law counts a point's penetration (m): that at which a time step brought it into
             sight (`step_level.py`), infinite where it takes no part; zero in statics.
-        owed: points, and (n, gdim) the slip (m) from the history at each of them where the last step ended.
+        last: where the last step ended, at the points it had.
         share: (n,) how far each point counts in the multiplier's equation.
         unspent: (n, gdim − 1) slip that a time step has left to the next (m), `step_level.py`; zero in statics.
     """
@@ -114,7 +115,7 @@ class Kinematics(ABC):
         self.unspent: Array = np.zeros((points.size, points.facets.X.shape[2] - 1))
         self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros((points.size, points.η.shape[1])))
         self.ρ: Array = np.zeros((points.size, points.facets.X.shape[2]))
-        self.owed: tuple[IntegrationPoints, Array] = points, np.zeros_like(self.ρ)
+        self.last = LastStep.none(points, self.history, self.ρ)
 
     # ---------------------------------------------------------------- where the contactor is
 
@@ -212,15 +213,11 @@ class Kinematics(ABC):
             then = contactor_points(points, contactor).at(moved)
             found, facing = self.target.faced(then, target)
             point.facet[moved], point.η[moved] = found.facet, found.η
-            apart = self.apart(found, facing, then.x, target, self.owed_at(points)[moved])
+            apart = self.apart(found, facing, then.x, target, self.last.owed_at(points)[moved])
             ρ[moved] = 0.0 if apart is None else apart
+            stuck, kept, ρ[stuck] = self.last.kept_at(points, moved)
+            point.facet[stuck], point.η[stuck] = kept.facet, kept.η
         self.set_history(point, ρ)
-
-    def owed_at(self, points: IntegrationPoints) -> Array:
-        """(n, gdim) what is `owed` at other points: between those that it is known of, as the nearest of them may change with
-        the last digit of where points are."""
-        known, owed = self.owed
-        return owed if points is known else known.between(owed, points.facet, points.η)
 
     def commit(self, unspent: Array | None, status: NDArray[np.int8]) -> None:
         """The step has converged: Y_{n−1} ← Y, from which the slip (n, gdim) that is `unspent` (m) goes on where points are
@@ -239,6 +236,7 @@ class Kinematics(ABC):
         if ρ is not None:
             ρ[stuck] = self.ρ[stuck]
         self.set_history(point, ρ)
+        self.last = LastStep(self.points, self.history, self.ρ, np.zeros_like(self.ρ), stuck)
 
     def apart(
         self, point: TargetPoint, facing: Bool, x: Array, nodes: Array, unspent: Array | None = None
@@ -255,7 +253,8 @@ class Kinematics(ABC):
             "ρ": self.ρ.copy(),
             "offset": self.offset.copy(),
             "unspent": self.unspent.copy(),
-            "owed": self.owed_at(self.points),
+            "owed": self.last.owed_at(self.points),
+            "stuck": self.last.stuck_at(self.points).astype(float),
         }
 
     def restore_history(self, saved: dict[str, Array]) -> None:
@@ -263,7 +262,8 @@ class Kinematics(ABC):
         point = TargetPoint(saved["history_facet"].astype(np.int64), saved["history_η"].copy())
         self.set_history(point, saved["ρ"].copy())
         self.offset, self.unspent = saved["offset"].copy(), saved["unspent"].copy()
-        self.owed = self.points, saved["owed"].copy()
+        stuck = saved["stuck"].astype(bool)
+        self.last = LastStep(self.points, self.history, self.ρ, saved["owed"].copy(), stuck)
 
     def set_history(self, point: TargetPoint, ρ: Array | None = None) -> None:
         """Count the slip from these material points of the target, and from ρ (n, gdim) apart from them."""
@@ -365,8 +365,8 @@ class PositionLevel(Kinematics):
         drift = self._drift() if self.friction else None
         super().commit(unspent, status)
         if drift is not None:
-            owed = np.where((status == OPEN)[:, None], 0.0, self.slip()) if self.carries else np.zeros_like(self.ρ)
-            self.owed = self.points, owed
+            if self.carries:
+                self.last = replace(self.last, owed=np.where((status == OPEN)[:, None], 0.0, self.slip()))
             self._remember_approach(drift, status == OPEN)
 
     def _remember_approach(self, drift: Array, is_open: Bool) -> None:
@@ -379,7 +379,7 @@ class PositionLevel(Kinematics):
         """(n, gdim) the slip since the last step, as far as it is more than what the turns of the two surfaces leave open,
         which carry a gap along in different ways: where bodies mirror each other, that is all of it."""
         assert self.s is not None
-        owed, ν = self.owed_at(self.points), self.at.ν
+        owed, ν = self.last.owed_at(self.points), self.at.ν
         drift, turned = self.s - owed, carried(self._frame, self.ρ) + owed if self.carries else np.zeros_like(self.ρ)
         drift, turned = (a - ν * dot(ν, a)[:, None] for a in (drift, turned))
         size, doubt = (np.linalg.norm(a, axis=1) for a in (drift, turned))
@@ -416,7 +416,8 @@ class PositionLevel(Kinematics):
             near = self.target.closest(self.positions_of_history()[came] + air[came]).point
             point.facet[came], point.η[came] = near.facet, near.η
             self.set_history(point)
-        self.owed = self.points, self.owed_at(self.points) - air
+        owed, stuck = self.last.owed_at(self.points) - air, self.last.stuck_at(self.points)
+        self.last = LastStep(self.points, self.history, self.ρ, owed, stuck)
         self.s = self.slip()
 
     @property
