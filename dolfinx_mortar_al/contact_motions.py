@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.contact import ContactPair
-from dolfinx_mortar_al.law import OPEN, STICK
+from dolfinx_mortar_al.law import OPEN, SLIP, STICK
 from dolfinx_mortar_al.reductions import sum_over
 
 __all__ = ["ContactMotions"]
@@ -96,6 +96,13 @@ class ContactMotions:
         rub, stick = sum_over(self._bodies.comm, counts).T > 0
         return rub, stick
 
+    def slide(self) -> tuple[Bool, Bool]:
+        """(pairs,) of which pairs no point sticks, and of which of these some point slips."""
+        states = [pair.state.status for pair in self._pairs]
+        counts = [[np.sum(s == k) for s in states] for k in (STICK, SLIP)]
+        stick, slip = sum_over(self._bodies.comm, np.array(counts).reshape(2, -1))
+        return stick == 0, (stick == 0) & (slip > 0)
+
     # ---------------------------------------------------------------- what is held
 
     def held_by_touch(self, motions: Array) -> Array:
@@ -111,7 +118,7 @@ class ContactMotions:
         comm = self._bodies.comm
         return np.asarray(sum_over(comm, total) / max(sum_over(comm, faced), 1e-300))
 
-    def held(self, slides: Sequence[bool], motions: Array) -> Array:
+    def held(self, slides: Bool, motions: Array) -> Array:
         """(motions, motions) sum over the pairs of such means over the area that is closed, where of pairs that slide all
         over, by `slides` (pairs,), the normal parts count."""
         total = np.zeros((motions.shape[1],) * 2)

@@ -551,11 +551,11 @@ class NewtonSolver:
         """What a failed solve says of the equilibrium itself."""
         p = self.problem
         parts = [str(node) for pair in p.pairs if (node := pair.pushed_node()) is not None]
-        if p.floating and not p.motions:  # inertia holds what moves
+        off = self.snes.getFunction()[0].getNestSubVecs()[0]
+        if p.floating and not p.motions and (loose := p.unheld(off)):  # inertia holds what moves
             rub = "" if all(pair.friction > 0 for pair in p.pairs) else "add friction, "
-            off = self.snes.getFunction()[0].getNestSubVecs()[0]
             parts.append(
-                f"{' and '.join(p.unheld(off))}: if it may slide, roll off or topple, or a load pulls it away (its sign?), "
+                f"{' and '.join(loose)}: if it may slide, roll off or topple, or a load pulls it away (its sign?), "
                 f"press it on, prescribe the motion that is free (of one node, along the surface), {rub}or let it move "
                 "with dynamics.march"
             )

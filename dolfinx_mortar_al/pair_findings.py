@@ -62,8 +62,8 @@ BY_NORMALS = (
 TURNED = 0.03  # of the force
 DIPS = (
     "what slides dips into the target with the contactor's last facets, where pressures are largest and act along normals "
-    "that are not the target's, on fine meshes, too: friction is off by that share; compare with contactor and target "
-    'swapped, or with projection="closest"'
+    "that are not the target's, on fine meshes, too: friction is off by about that share; round the corner over some facets, "
+    'or compare with contactor and target swapped, or with projection="closest"'
 )
 OF_FRICTION = 0.05  # of what friction bears in gross slip
 PATCHES = (

@@ -25,7 +25,6 @@ from dolfinx_mortar_al.body import Body
 from dolfinx_mortar_al.contact import Contact, ContactPair
 from dolfinx_mortar_al.contact_motions import ContactMotions
 from dolfinx_mortar_al.given import Given
-from dolfinx_mortar_al.law import SLIP, STICK
 from dolfinx_mortar_al.led import lead
 from dolfinx_mortar_al.load import Loads
 from dolfinx_mortar_al.monitors import Finding, Monitor
@@ -186,6 +185,8 @@ class ContactProblem:
         #: (pieces,) largest stiffness times diameter: the size of forces that strain a piece by one (N)
         self.firmness = self.bodies.stiffest(stiffness) * self.bodies.diameters()
         self.force_floor, self._least_borne = 2e-15 * self.firmness, SLACK * self.firmness
+        #: whether supports, or contact as firmly as supports, held all pieces in the last equilibrium
+        self.is_held = not self.floating
         #: size of forces that a step of bodies in motion resolves, on all pieces (N); None in statics
         self.force_reference: float | None = None
         self.gap_floor = [max(2e-15 * diameter, pair.kinematics.round_off) * pair.area for pair in self.pairs]
@@ -578,8 +579,12 @@ class ContactProblem:
         (collective)."""
         if self.ties is None:
             return False
-        touched = self._in_contact()[0] @ np.array(self._touched, dtype=int).reshape(-1, self.bodies.pieces)
-        return bool((self.ties.far() & (touched == 0)).any())
+        return bool((self.ties.far() & (self._touched_now() == 0)).any())
+
+    def _touched_now(self) -> NDArray[np.int_]:
+        """(pieces,) by how many pairs in contact each is touched now (collective)."""
+        touched = np.array(self._touched, dtype=int).reshape(-1, self.bodies.pieces)
+        return np.asarray(self._in_contact()[0].astype(int) @ touched)
 
     def _let_go(self) -> list[Finding]:
         """Pieces that contact alone held in the last equilibrium and that nothing touches now; those that nothing presses on,
@@ -678,10 +683,8 @@ class ContactProblem:
         was measured (collective)."""
         if self.ties is None:
             return
-        states = [pair.state.status for pair in self.pairs]
-        stick, slip = sum_over(self.comm, np.array([[(s == k).sum() for s in states] for k in (STICK, SLIP)]))
-        slides = [bool(n == 0) for n in stick]
-        new = (stick == 0) & (slip > 0) & np.array([pair.friction > 0 for pair in self.pairs], dtype=bool) & ~self._slid
+        slides, slips = self._contact_motions.slide()
+        new = slips & np.array([pair.friction > 0 for pair in self.pairs], dtype=bool) & ~self._slid
         if not new.any():
             return
         self._slid |= new
@@ -691,6 +694,11 @@ class ContactProblem:
         self.ties.catch(partial(self._contact_motions.held, slides))
         self.bulk_forces.array[:] += self.ties.forces()
         self.add_contact(f)
+
+    def contact_holds(self) -> bool:
+        """Whether contact alone holds pieces as firmly as supports would, in the equilibrium just found: stability of these
+        is told as that of others, while bodies that may slide or roll are neutral (collective)."""
+        return self.ties is not None and self.ties.are_stuck(self._contact_motions.held_by_stick)
 
     def loosen_ties(self, f: PETSc.Vec) -> None:
         """At the start of a solve in which supports or obstacles move: where pairs with friction stick, at least in part, and
@@ -740,15 +748,20 @@ class ContactProblem:
 
     def unheld(self, off: PETSc.Vec) -> list[str]:
         """The floating pieces that these nodal forces (N) put out of balance by at least a tenth of the worst, in words:
-        those that a pair may hold, and those that nothing does (collective)."""
+        those that a pair may hold, and those that nothing does; but for such as contact held firmly in the last equilibrium
+        and touches still (collective)."""
+        touched = self._touched_now() > 0
         squares = np.bincount(self.bodies.piece_of_dof, weights=off.array_r**2, minlength=self.bodies.pieces)
         forces = np.nan_to_num(np.sqrt(sum_over(self.comm, squares)), nan=np.inf)
         found = []
         for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
             for piece in body.floating:
-                held = any(touched[first + piece.number] for touched in self._touched)
-                found.append((forces[first + piece.number], f"{'contact alone' if held else 'nothing'} holds {piece}"))
-        worst = max(force for force, _ in found)
+                n = first + piece.number
+                if self.is_held and touched[n]:
+                    continue
+                held = any(pieces[n] for pieces in self._touched)
+                found.append((forces[n], f"{'contact alone' if held else 'nothing'} holds {piece}"))
+        worst = max((force for force, _ in found), default=0.0)
         return [words for force, words in found if force >= OUT_OF_BALANCE * worst]
 
     @property
@@ -773,15 +786,15 @@ class ContactProblem:
         return int(sum_over(self.comm, mine))
 
     def changed_points(self, before: Sequence[NDArray[np.int8]]) -> str:
-        """Where points of the pairs have changed the open/slip/stick states that they had `before`, in words; where segments
-        have made others of them since that is not known (collective)."""
+        """Where points of the pairs have changed the open/slip/stick states that they had `before`, in words; where others
+        have taken their place since that is not known (collective)."""
         parts = []
         for pair, then in zip(self.pairs, before, strict=True):
             now = pair.state.status
             X = np.concatenate(self.comm.allgather(pair.points()[now != then if len(now) == len(then) else []]))
             if len(X):
                 parts.append(f"{pair.name}: {len(X)} points, the first at X = {np.array2string(X[0], precision=4)}")
-        return "; ".join(parts) or "at points that segments have moved"
+        return "; ".join(parts) or "at points that move with the target's end or segments"
 
     # ---------------------------------------------------------------- transactions
 
@@ -823,6 +836,7 @@ class ContactProblem:
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""
         self._known_free = self._free
+        self.is_held = not self.floating or self.contact_holds()
         self._look_what_bears()
         self.bodies.begin()
         if self.ties is not None:

@@ -380,11 +380,10 @@ def _judged(problem: ContactProblem, result: NewtonResult) -> Attempt:
 
 
 def _is_unstable(problem: ContactProblem, result: NewtonResult) -> bool:
-    """Whether bodies would leave a converged state, as the sign of a determinant tells. Where nothing resists a slide of
-    bodies that contact alone holds it is round-off's, and a coarse wheel that stands on a corner need not roll off: of
-    those a state counts to which they were thrown, or that wild iterates have led to and in which something drives a motion
-    on."""
-    if not result.unstable or problem.ties is None or not problem.floating:
+    """Whether bodies would leave a converged state, as the sign of a determinant tells. Where bodies that contact alone holds
+    may slide or roll it is round-off's, and a coarse wheel that stands on a corner need not roll off: of those a state counts
+    to which they were thrown, or that wild iterates have led to and in which something drives a motion on."""
+    if not result.unstable or problem.ties is None or not problem.floating or problem.contact_holds():
         return result.unstable
     return problem.ties.has_thrown() or (result.wild and problem.ties.is_unstable)
 
@@ -498,9 +497,8 @@ class _LoadControl(Controller[Step]):
 
     @property
     def _may_relax(self) -> bool:
-        """Whether bodies may be let go: what contact alone holds has ties instead, and a membrane's start a tension."""
-        held = not self.problem.floating and not self.problem.lacks_stiffness
-        return held and self.smallest <= stepping.RELAXED
+        """Whether bodies may be let go: what may slide or roll has ties instead, and a membrane's start a tension."""
+        return self.problem.is_held and not self.problem.lacks_stiffness and self.smallest <= stepping.RELAXED
 
     def relax(self, length: float) -> Attempt | None:
         p, leg = self.problem, self._legs[self.leg]

@@ -187,10 +187,25 @@ class Ties:
         that, (motions, motions) (collective)."""
         if not self.acts:
             return bool(self.resistance.any())
-        w = self.ways.reshape(len(self.ways), len(self._piece), -1)
+        return self._least_held(self.ways, holding) >= SPARE
+
+    def are_stuck(self, holding: Callable[[Array], Array]) -> bool:
+        """Whether contact holds the pieces as a support would: something resists all motions in the last equilibrium, or what
+        nothing resists, or what drives on, slides where points stick, and is no rolling; `holding` is as in :meth:`are_spare`
+        (collective)."""
+        R, admissible = self._admissible()
+        soft = self._soft(admissible)
+        if not soft.shape[1]:
+            return bool(self.resistance.any())
+        return self._least_held(self._all_of(R, self._inverse[:, None] * soft).T, holding) >= HOLDS
+
+    def _least_held(self, ways: Array, holding: Callable[[Array], Array]) -> float:
+        """The least share that `holding` gives of the squares of motions along the `ways` (motions, owned dofs)
+        (collective)."""
+        w = ways.reshape(len(ways), len(self._piece), -1)
         squares = sum_over(self._bodies.comm, np.einsum("n,kni,lni->kl", 1.0 / self._nodes[self._piece], w, w))
         inverse = np.linalg.inv(np.linalg.cholesky(squares))
-        return bool(np.linalg.eigvalsh(inverse @ holding(self.ways.T) @ inverse.T)[0] >= SPARE)
+        return float(np.linalg.eigvalsh(inverse @ holding(ways.T) @ inverse.T)[0])
 
     def catch(self, holding: Callable[[Array], Array]) -> None:
         """In the middle of a solve tie the pieces as well along the motions, of all of them together, that contact as it is

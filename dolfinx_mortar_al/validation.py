@@ -363,6 +363,11 @@ def check_external(external: Any, u: fem.Function) -> None:
             "measure), or a list of them"
         )
     arguments = external.arguments()
+    if not arguments:
+        raise ValueError(
+            "external: there is no test function in it, as in the work of a force that is 0 for good, such as a Constant's "
+            "value 0.0 in place of the Constant; write the Constant itself, for a march to move, or leave it out"
+        )
     if len(arguments) != 1 or arguments[0].ufl_function_space() != u.function_space:
         raise ValueError("external: must be linear in the test function of u's space")
     check_scalars(external, "external")

@@ -9,7 +9,7 @@ from mpi4py import MPI
 from scenes import beams, rough, set_field, tip
 
 from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, quasistatic
-from dolfinx_mortar_al.materials import saint_venant_kirchhoff
+from dolfinx_mortar_al.materials import neo_hookean, saint_venant_kirchhoff
 from dolfinx_mortar_al.obstacles import RigidPlane
 from dolfinx_mortar_al.problem import Dashpots
 from dolfinx_mortar_al.quasistatic import StepFailure
@@ -99,6 +99,43 @@ def test_a_march_goes_on_by_letting_the_bodies_go():
     assert problem.dashpots is None and steps[-1].load == 1.0
     list(quasistatic.march(other, same, to=1.0, increments=16))
     assert np.allclose(tip(problem), tip(other), rtol=1e-3)  # slip hangs on the increments
+
+
+def column(height, cells):
+    """A column of a metre's width between two rigid planes, μ = .5, which alone hold it; what presses the upper one down."""
+    domain = create_rectangle(MPI.COMM_WORLD, [[-0.5, 0.0], [0.5, height]], cells, CellType.quadrilateral)
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 2, (2,))))
+    planes = [RigidPlane([0.0, 0.0], [0.0, 1.0]), RigidPlane([0.0, height], [0.0, -1.0])]
+    ends = [locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (0.0, height)]
+    marks = [np.full(len(facets), k, dtype=np.int32) for k, facets in enumerate(ends)]
+    order = np.argsort(np.concatenate(ends))
+    tags = meshtags(domain, 1, np.concatenate(ends)[order], np.concatenate(marks)[order])
+    contacts = [Contact(Surface(domain, tags, k), plane, friction=0.5) for k, plane in enumerate(planes)]
+    problem = ContactProblem(neo_hookean(100.0, 0.3).virtual_work(u), u, contacts=contacts)
+    return problem, lambda d: planes[1].move([0.0, -d])
+
+
+def test_a_column_that_contact_alone_holds_is_unstable_from_eulers_load_on():
+    """Squeezed by π²/(3 · 16²) of its height, .206 m, it buckles as one with clamped ends; it bends no more than by round-off
+    and stays straight, and the steps from there on say so."""
+    problem, press = column(16.0, [2, 32])
+    steps = list(quasistatic.march(problem, press, to=0.3, increments=12))
+    said = {step.load: any(f.name == "determinant of the Jacobian" for f in step.findings) for step in steps}
+    first = min(load for load, unstable in said.items() if unstable)
+    assert 0.19 < first < 0.23
+    assert all(unstable == (load >= first) for load, unstable in said.items())
+    assert abs(tip(problem, (0.0, 8.0))[0]) < 0.05
+
+
+def test_bodies_that_contact_alone_holds_are_let_go_too():
+    """A short column that sticks between its planes, where no step gets through: it is let go as one on supports."""
+    (problem, press), (other, same) = column(2.0, [2, 4]), column(2.0, [2, 4])
+    list(quasistatic.march(problem, press, to=0.05, increments=1))
+    assert problem.is_held
+    steps = list(quasistatic.march(problem, press, to=0.1, increments=1, solver=Stuck(problem, rests=True)))
+    assert leaps(steps)[0] and steps[-1].load == 0.1
+    list(quasistatic.march(other, same, to=0.1, increments=4))
+    assert np.allclose(problem.pairs[0].force(), other.pairs[0].force(), rtol=1e-3, atol=1e-6)
 
 
 class Leaping(NewtonSolver):
