@@ -18,7 +18,7 @@ import ufl
 from dolfinx import fem
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, loads, materials, quasistatic
 from dolfinx_mortar_al.verify.meshes import build, grid
 from dolfinx_mortar_al.verify.model import hold
 
@@ -38,12 +38,12 @@ def pressed_blocks(
 
     domain, _, tags = build([block(facets[0], 0.0, (BOTTOM, LOWER)), block(facets[1], 0.5, (UPPER, TOP))])
     V = fem.functionspace(domain, ("Lagrange", 2, (dim,)))
-    pressure = fem.Constant(domain, 0.0)
-    down = ufl.as_vector([*[0.0] * (dim - 1), -1.0]) * pressure
+    u, pressure = fem.Function(V), fem.Constant(domain, 0.0)
     body = Body(
-        fem.Function(V),
+        u,
         materials.neo_hookean(1.0, ν),
-        external=(down, ufl.Measure("ds", domain, subdomain_data=tags)(TOP)),
+        # normal to the surface as it is: under a dead load of .8 E and more the free face would ripple
+        external=(-pressure * loads.area_normal(u), ufl.Measure("ds", domain, subdomain_data=tags)(TOP)),
         bcs=[hold(V, tags, BOTTOM, dim - 1), *(hold(V, tags, SIDES[axis], axis) for axis in range(dim - 1))],
     )
     sides = Surface(domain, tags, LOWER), Surface(domain, tags, UPPER)
