@@ -58,6 +58,10 @@ MOVED_ON = (
     "they were moved on, each node slowed by a dashpot, to where they come to rest, friction following their way; "
     "dynamics.march shows such motions in time"
 )
+LEFT = (
+    "the bodies have left an unstable equilibrium for a stable one some way off: they snapped or buckled, and which way is "
+    "chance; dynamics.march shows such motions in time"
+)
 LEAPS = "the bodies let go, tip or snap on the way: no equilibrium near the last one leads there"
 FAR = 10.0  # times a body's size or firmness: what is in other units is a thousand times too large, as a rule;
 VERY_FAR = 100.0  # the same before anything has failed: a ball may roll far
@@ -66,6 +70,7 @@ LOADED = (
     "loads are {:.2g} times those that strain a body by one: are they in the units of its moduli, per area or volume of the "
     "mesh's units?"
 )
+FARTHER = 2.0  # times as far for its length as the step before: a leap, where an unstable equilibrium has been left
 RESTLESS = "; nor do the bodies come to rest when they are let go"
 
 
@@ -408,11 +413,15 @@ class _LoadControl(Controller[Step]):
         # whether the next, any trial of this step does without a prediction
         self._from_last = self._tried_from_last = False
         self._leapt = self._restless = False  # the last trial was no step, and how it ended
+        self._before: Array = np.zeros(0)  # displacements in the last accepted state
+        # how far a node went for the length of the step, to that state and in the last trial (m)
+        self._pace = self._going = np.inf
         self._path = start
         self._met = False  # whether anything has been in contact in a state of this march
 
     def begin(self) -> None:
         self._met = self.problem.is_pressed()  # what touches at the start may be led away
+        self._before = self.problem.bodies.get()
         if self.finished:
             return
         leg = self._legs[self.leg]
@@ -478,6 +487,10 @@ class _LoadControl(Controller[Step]):
         if attempt.good and self._unstable and not self._was_unstable:
             # a body does not come to rest there: there may be a stable equilibrium that this step has leapt over
             attempt.good, attempt.message = stepping.CUT * length < max(LEAP, self.smallest), LEAPT
+        way, X = self.problem.bodies.farthest(self.problem.bodies.get() - self._before)
+        self._going = way / length
+        if attempt.good and self._was_unstable and not self._unstable and self._going > FARTHER * self._pace:
+            attempt.findings.append(Finding("leap (m)", way, X, LEFT, False))
         if attempt.good and attempt.newton.wild and any(parted := self._predictor.parted()):
             # nor out of contact; with as little as OFF it counts, and is said
             attempt.good, attempt.message = stepping.CUT * length < max(OFF, self.smallest), LEAPT_OFF
@@ -527,6 +540,7 @@ class _LoadControl(Controller[Step]):
     def accept(self, done: stepping.Step) -> Step:
         leg, stage = self._legs[self.leg], self.leg
         self._was_unstable = self._unstable
+        self._before, self._pace = self.problem.bodies.get(), np.inf if self._leapt else self._going
         self._from_last = self._tried_from_last = self._restless = False
         self.problem.loads.note(None if self._leapt else leg.load, leg.way(self._x))
         self.problem.commit()
@@ -547,7 +561,7 @@ class _LoadControl(Controller[Step]):
         last, self.leg = self._legs[self.leg], self.leg + 1
         if self.finished:
             return
-        leg = self._legs[self.leg]
+        leg, self._pace = self._legs[self.leg], np.inf  # lengths are others
         leg.enter(0.0)
         before = last.end - last.begin if leg.load is last.load else None
         longer = pace(self.problem.comm, leg.end - leg.begin, before)

@@ -138,6 +138,28 @@ def test_bodies_that_contact_alone_holds_are_let_go_too():
     assert np.allclose(problem.pairs[0].force(), other.pairs[0].force(), rtol=1e-3, atol=1e-6)
 
 
+class Unsteady(NewtonSolver):
+    """Says of states up to a load of 3 N that they are unstable."""
+
+    def solve(self, path=None):
+        result = super().solve(path)
+        result.signs[-1] = -1.0 if self.P.value < 3.0 else 1.0
+        return result
+
+
+def test_what_leaves_an_unstable_equilibrium_is_said_to_have_leapt():
+    """Where a step goes on twice as far and more from an unstable state to a stable one; not from there on."""
+    problem, P = beams(friction=0.3)
+    solver = Unsteady(problem)
+    solver.P = P
+
+    def load(t):
+        P.value = 4.0 * t if t < 0.7 else 12.0 * t
+
+    steps = list(quasistatic.march(problem, load, to=1.0, increments=4, solver=solver))
+    assert [step.load for step, leapt in zip(steps, leaps(steps), strict=True) if leapt] == [0.75]
+
+
 class Leaping(NewtonSolver):
     """Says of its first five steps that they have leapt, though they converge."""
 
