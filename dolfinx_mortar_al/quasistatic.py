@@ -515,7 +515,7 @@ class _LoadControl(Controller[Step]):
 
     def relax(self, length: float) -> Attempt | None:
         p, leg = self.problem, self._legs[self.leg]
-        if not self._may_relax:
+        if not self._may_relax or (self._restless and p.floating):
             return None
         before = p.bodies.get()
         self._x = leg.x + length
@@ -541,7 +541,8 @@ class _LoadControl(Controller[Step]):
         leg, stage = self._legs[self.leg], self.leg
         self._was_unstable = self._unstable
         self._before, self._pace = self.problem.bodies.get(), np.inf if self._leapt else self._going
-        self._from_last = self._tried_from_last = self._restless = False
+        self._from_last = self._tried_from_last = False
+        self._restless &= bool(self.problem.floating)  # what contact alone holds, and slides, is let go once
         self.problem.loads.note(None if self._leapt else leg.load, leg.way(self._x))
         self.problem.commit()
         leg.x, self._at = self._x, self._tried
