@@ -20,6 +20,7 @@ __all__ = ["ContactMotions"]
 
 Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
+Index = NDArray[np.int64]
 
 ROLLS = 0.01  # share of the squares of velocities along surfaces below which a motion is a rolling
 
@@ -37,7 +38,7 @@ class ContactMotions:
         self._bodies, self._pairs = bodies, pairs
         self._touched: Array = np.array(touched, dtype=float).reshape(-1, bodies.pieces)
 
-    def on_pieces(self, values: Sequence[float]) -> Array:
+    def on_pieces(self, values: Sequence[float] | Bool) -> Array:
         """(pieces,) the sum over the pairs that touch each piece of one value per pair."""
         return np.asarray(np.array(values) @ self._touched)
 
@@ -89,19 +90,12 @@ class ContactMotions:
         A, b = (sum_over(self._bodies.comm, part) for part in (A, b))
         return np.asarray(np.linalg.pinv(A, rcond=ROLLS, hermitian=True) @ b)
 
-    def rub_and_stick(self) -> tuple[Bool, Bool]:
-        """(pairs,) and (pairs,) which pairs with friction touch, and of which points stick."""
-        states = [pair.state.status if pair.friction else np.zeros(0, dtype=np.int8) for pair in self._pairs]
-        counts = np.array([[np.sum(s != OPEN), np.sum(s == STICK)] for s in states]).reshape(-1, 2)
-        rub, stick = sum_over(self._bodies.comm, counts).T > 0
-        return rub, stick
-
-    def slide(self) -> tuple[Bool, Bool]:
-        """(pairs,) of which pairs no point sticks, and of which of these some point slips."""
+    def slip_and_stick(self) -> tuple[Index, Index]:
+        """(pairs,) and (pairs,) how many points of each pair slip, and how many stick."""
         states = [pair.state.status for pair in self._pairs]
-        counts = [[np.sum(s == k) for s in states] for k in (STICK, SLIP)]
-        stick, slip = sum_over(self._bodies.comm, np.array(counts).reshape(2, -1))
-        return stick == 0, (stick == 0) & (slip > 0)
+        counts = np.array([[np.sum(s == k) for s in states] for k in (SLIP, STICK)]).reshape(2, -1)
+        slip, stick = sum_over(self._bodies.comm, counts)
+        return slip, stick
 
     # ---------------------------------------------------------------- what is held
 

@@ -210,13 +210,14 @@ class Kinematics(ABC):
         self.offset, self.unspent = self.offset[origin], self.unspent[origin]
         point, ρ = TargetPoint(self.history.facet[origin], self.history.η[origin]), self.ρ[origin]
         if self.friction and len(moved):
-            then = contactor_points(points, contactor).at(moved)
-            found, facing = self.target.faced(then, target)
-            point.facet[moved], point.η[moved] = found.facet, found.η
-            apart = self.apart(found, facing, then.x, target, self.last.owed_at(points)[moved])
-            ρ[moved] = 0.0 if apart is None else apart
             stuck, kept, ρ[stuck] = self.last.kept_at(points, moved)
             point.facet[stuck], point.η[stuck] = kept.facet, kept.η
+            anew = np.setdiff1d(moved, stuck)
+            then = contactor_points(points, contactor).at(anew)
+            found, facing = self.target.faced(then, target)
+            point.facet[anew], point.η[anew] = found.facet, found.η
+            apart = self.apart(found, facing, then.x, target, self.last.owed_at(points)[anew])
+            ρ[anew] = 0.0 if apart is None else apart
         self.set_history(point, ρ)
 
     def commit(self, unspent: Array | None, status: NDArray[np.int8]) -> None:

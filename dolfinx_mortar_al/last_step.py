@@ -53,6 +53,8 @@ class LastStep:
         """Which of the points `moved` lie where points stick, their Y_{n−1} and their ρ (n, gdim): in line with those of the
         stuck points on the same facet whose Y_{n−1} are on one facet of the target, too. With ones found anew from step to
         step, stuck bodies that are moved to and fro creep."""
+        if not self.stuck.any():
+            moved = moved[:0]
         facet, η = points.facet[moved], points.η[moved]
         near = self.points.nearest(facet, η)
         alike = np.where(self.stuck, self.history.facet, -1)

@@ -167,6 +167,7 @@ class ContactProblem:
         self.members |= {f"pair{k}": pair for k, pair in enumerate(self.pairs)}
         self.members |= {f"motion{k}": motion for k, motion in enumerate(self.motions)}
         self._touched = [self._pieces_of(pair) for pair in self.pairs]
+        self._rough = np.array([pair.friction > 0 for pair in self.pairs], dtype=bool)  # which pairs have friction
         self._contact_motions = ContactMotions(self.bodies, self.pairs, self._touched)
         with self.stopwatch("bulk"):
             stiffness = self._create_matrices()
@@ -581,10 +582,9 @@ class ContactProblem:
             return False
         return bool((self.ties.far() & (self._touched_now() == 0)).any())
 
-    def _touched_now(self) -> NDArray[np.int_]:
+    def _touched_now(self) -> Array:
         """(pieces,) by how many pairs in contact each is touched now (collective)."""
-        touched = np.array(self._touched, dtype=int).reshape(-1, self.bodies.pieces)
-        return np.asarray(self._in_contact()[0].astype(int) @ touched)
+        return self._contact_motions.on_pieces(self._in_contact()[0])
 
     def _let_go(self) -> list[Finding]:
         """Pieces that contact alone held in the last equilibrium and that nothing touches now; those that nothing presses on,
@@ -683,15 +683,15 @@ class ContactProblem:
         was measured (collective)."""
         if self.ties is None:
             return
-        slides, slips = self._contact_motions.slide()
-        new = slips & np.array([pair.friction > 0 for pair in self.pairs], dtype=bool) & ~self._slid
+        slip, stick = self._contact_motions.slip_and_stick()
+        new = (stick == 0) & (slip > 0) & self._rough & ~self._slid
         if not new.any():
             return
         self._slid |= new
         if begins:
             return
         self.bulk_forces.array[:] -= self.ties.forces()
-        self.ties.catch(partial(self._contact_motions.held, slides))
+        self.ties.catch(partial(self._contact_motions.held, stick == 0))
         self.bulk_forces.array[:] += self.ties.forces()
         self.add_contact(f)
 
@@ -707,7 +707,8 @@ class ContactProblem:
         would be more than friction bears. f, the residual, is brought up to date (collective)."""
         if self.ties is None or not self._supports_move():
             return
-        rub, stick = self._contact_motions.rub_and_stick()
+        slip, stick = self._contact_motions.slip_and_stick()
+        rub = self._rough & (slip + stick > 0)
         if not rub.any() or not stick[rub].all() or not self.ties.are_spare(self._contact_motions.held_by_stick):
             return
         self.bulk_forces.array[:] -= self.ties.forces()
