@@ -75,6 +75,11 @@ CURVED = "refine both surfaces"  # where facets are curved already
 PATCHY = 0.1  # of the contact: next to its end facets are open in part
 MANY = 8  # facets in each direction: in Hertz' contacts of so many a fifth of the pressure would close the sagitta
 HOLES = 2  # facets from any hole to its edge: nodes of meshes that are to match nearly meet every few facets
+DEEPLY = 1.0  # target facets: a surface that lies deeper may be nearer to another side of the target
+AT_START = (
+    "the surfaces overlap by as much before any load, and the first step parts them at once: if no press fit is meant, look "
+    "at the positions of the meshes, their units, and which side of the target is named"
+)
 SHARE = 0.01  # of a target facet: overlaps below it are those of facets that do not match on curved surfaces
 
 
@@ -148,6 +153,16 @@ class PairFindings(PairResults):
         mine = (float(gap[k]), tuple(self.points()[k].tolist())) if gap.min(initial=np.inf) < np.inf else (np.inf, ())
         value, X = min(self.comm.allgather(mine))
         return Finding(f"{self.name}: least gap (m)", value, X, APART, False)
+
+    def overlap_at_start(self) -> Finding | None:
+        """The deepest point that is closed as the problem is set up, if deeper than DEEPLY (collective)."""
+        depth = np.where(self.active.closed, self.at.g, -np.inf) / self.target.size
+        k = int(np.argmax(depth)) if len(depth) else -1
+        mine = (float(depth[k]), tuple(self.points()[k].tolist())) if len(depth) else (-np.inf, ())
+        value, X = max(self.comm.allgather(mine))
+        if value <= DEEPLY:
+            return None
+        return Finding(f"{self.name}: initial overlap (target's facets)", value, X, AT_START, False)
 
     def prescribed_overlap(self) -> Finding | None:
         """Where both surfaces are prescribed and overlap, so that no contact force can part them (collective)."""

@@ -27,7 +27,7 @@ from dolfinx_mortar_al.contact_motions import ContactMotions
 from dolfinx_mortar_al.given import Given
 from dolfinx_mortar_al.led import lead
 from dolfinx_mortar_al.load import Loads
-from dolfinx_mortar_al.monitors import Finding, Monitor
+from dolfinx_mortar_al.monitors import Finding, Monitor, Reporter
 from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector, matrix_with_pattern, row_by_row
 from dolfinx_mortar_al.pieces import Piece
@@ -60,6 +60,11 @@ SLIDE = (
     "share of the contact forces that push it where nothing resists, from pressures on a coarse mesh or a small load; a tie "
     "to where it was bears them; refine its surface, or prescribe the motion that is free, of one node"
 )
+SLIDES = (
+    "{}: {:.1%} of the friction that its pressure allows is in use in the last of these states, and little else keeps a body "
+    "from sliding there: past that it slides off: prescribe its motion along the surface, or let it move with dynamics.march"
+)
+NEARLY_ALL = 0.9  # of the friction: what the next sixteenth of a load's increments asks for may be more than is left
 TOLD = 1e-3  # share of the contact forces that a tie may bear, or round-off may be, unsaid
 OUT_OF_BALANCE = 0.1  # of the worst: loose bodies that a failed solve names
 LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
@@ -176,6 +181,8 @@ class ContactProblem:
             pair.start()
         for pair in self.pairs:
             pair.check_behind()
+        found = [finding for pair in self.pairs if (finding := pair.overlap_at_start()) is not None]
+        Reporter(self.comm.rank).report(found, "the start", stacklevel=3)
         #: whether matrices get room for facets near contact and their neighbours in space, too: fill for factors
         self.spare_pattern = False
         #: what solves the linear systems, in words if made a text; set by the Newton solver
@@ -764,6 +771,15 @@ class ContactProblem:
                 found.append((forces[n], f"{'contact alone' if held else 'nothing'} holds {piece}"))
         worst = max((force for force, _ in found), default=0.0)
         return [words for force, words in found if force >= OUT_OF_BALANCE * worst]
+
+    def about_to_slide(self) -> list[str]:
+        """Of pairs that hold a floating piece and bear nearly all the friction that they can: what to do (collective)."""
+        loose = np.zeros(self.bodies.pieces, dtype=bool)
+        for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
+            loose[[first + piece.number for piece in body.floating]] = True
+        holding = [pair for pair, pieces in zip(self.pairs, self._touched, strict=True) if (pieces & loose).any()]
+        used = {pair.name: pair.friction_in_use() for pair in holding}
+        return [SLIDES.format(name, share) for name, share in used.items() if share > NEARLY_ALL]
 
     @property
     def floating(self) -> list[Piece]:

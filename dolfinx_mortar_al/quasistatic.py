@@ -570,7 +570,7 @@ class _LoadControl(Controller[Step]):
 
     def failure(self, reason: str) -> str:
         reason += RESTLESS if self._restless else ""
-        reason = "; ".join([reason, *self._doubts([self._legs[self.leg]], FAR)])
+        reason = "; ".join([reason, *self.problem.about_to_slide(), *self._doubts([self._legs[self.leg]], FAR)])
         return f"no convergence at {self._tried} with the smallest step: {reason}; the steps up to {self._at} are converged"
 
 

@@ -145,6 +145,17 @@ class PairResults:
         """Sticking part of the contactor's reference area, collective."""
         return self._share(self.state.status == STICK)
 
+    def friction_in_use(self) -> float:
+        """The friction that the contact bears, ∫ |t_T| dS₀, over what its pressure allows, ∫ μp dS₀, collective: 1 where all
+        of it slides, 0 without friction or pressure."""
+        bound = self.state.bound
+        if bound is None:
+            return 0.0
+        ν, t = self.at.ν, self.state.t
+        rubs = np.linalg.norm(t - ν * np.einsum("ni,ni->n", ν, t)[:, None], axis=1)
+        borne, allowed = sum_over(self.comm, self.j @ np.column_stack([rubs, np.maximum(bound, 0.0)]))
+        return float(borne / allowed) if allowed > 0.0 else 0.0
+
     def _share(self, points: NDArray[np.bool_]) -> float:
         return sum_over(self.comm, float(self.j[points].sum())) / self.area
 

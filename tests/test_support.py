@@ -26,8 +26,9 @@ from meshes.two_beams import UPPER, TwoBeams
 LOAD = 1e4  # N/m³, dead
 
 
-def loose_block(*, gap=0.0, friction=0.3, tilt=0.0, E=1e5, at=(0.0, 0.0), comm=MPI.COMM_WORLD):
-    """A block without any condition, above a slab held at its bottom, under a dead load along (tilt, −1); `at`: where."""
+def loose_block(*, gap=0.0, friction=0.3, tilt=0.0, E=1e5, at=(0.0, 0.0), comm=MPI.COMM_WORLD, varies=False):
+    """A block without any condition, above a slab held at its bottom, under a dead load along (tilt, −1); `at`: where;
+    `varies`: μ is a Constant."""
     domain, cells, tags = TwoBeams(length=1.0, height=0.5, along=(7, 5), across=3, gap=gap).create(comm)
     domain.geometry.x[:, :2] += at
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
@@ -37,7 +38,8 @@ def loose_block(*, gap=0.0, friction=0.3, tilt=0.0, E=1e5, at=(0.0, 0.0), comm=M
     dx = ufl.Measure("dx", domain, subdomain_data=cells)
     F = materials.neo_hookean(E, 0.3).virtual_work(u, dx=dx)
     F -= load * ufl.dot(ufl.as_vector([tilt, -1.0]), ufl.TestFunction(V)) * dx(UPPER)
-    return ContactProblem(F, u, bcs=[held], contacts=[contact_of(domain, tags, friction=friction)]), load
+    μ = fem.Constant(domain, friction) if varies else friction
+    return ContactProblem(F, u, bcs=[held], contacts=[contact_of(domain, tags, friction=μ)]), load
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
@@ -60,6 +62,17 @@ def test_friction_holds_a_pushed_block_and_none_does_not():
     problem, load = loose_block(tilt=0.2, friction=0.0)
     with pytest.raises(quasistatic.StepFailure, match=r"contact alone holds the body around X = \[0.5.*of one node"):
         list(quasistatic.march(problem, load, to=LOAD, increments=1, smallest=0.5))
+
+
+def test_a_block_about_to_slide_is_said():
+    """Pushed with a fifth of its weight it needs μ = .2, which the march takes away; just before all friction is in use."""
+    problem, load = loose_block(tilt=0.2, varies=True)
+    (pair,) = problem.pairs
+    list(quasistatic.march(problem, load, to=LOAD, increments=1))
+    assert 0.2 / 0.3 - 1e-6 < pair.friction_in_use() < 0.9  # points rub to and fro, too
+    with pytest.raises(quasistatic.StepFailure, match=r"contact: (9.\.|100).*% of the friction .* is in use"):
+        list(quasistatic.march(problem, pair.contact.friction, to=0.1, increments=4, smallest=1 / 8))
+    assert 0.9 < pair.friction_in_use() <= 1.0 + 1e-6
 
 
 def test_a_block_that_is_let_go_is_said():

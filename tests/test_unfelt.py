@@ -160,6 +160,17 @@ def test_an_overlap_between_the_points_is_said():
     np.testing.assert_allclose(found[0].X, [0.0, 0.02], atol=1e-12)
 
 
+@pytest.mark.parametrize("facets", [0.9, 1.1])
+def test_a_deep_overlap_at_the_start_is_said(facets):
+    """Where a block begins more than one of its facets of .02 m deep in the bar, as a misplaced mesh would."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ModelWarning)
+        block_over_bar(cells=(10, 5), gap=-facets * 0.02, swap=True)
+    said = [str(w.message) for w in caught if "initial overlap" in str(w.message)]
+    assert len(said) == (facets > 1 and MPI.COMM_WORLD.rank == 0)
+    assert not said or f"= {facets}" in said[0]
+
+
 @pytest.mark.parametrize("radius", [0.003, 0.5])
 def test_a_pin_between_the_points_is_said(radius):
     """A pin of radius 3 mm goes 2.5 mm into the middle between two Gauss points, .058 m apart, of a facet of .1 m, which the
