@@ -151,6 +151,11 @@ class Blocks:
         self.NΛ = self._masked(self._whole)
         return True
 
+    def keep_at_corners(self) -> None:
+        """Let all nodes have a part in all of their facets, whatever is closed, from now on."""
+        self.corners = self.left_out_at_corners = None
+        self.NΛ = self._whole
+
     def _masked(self, NΛ: Array, act: Index | None = None) -> Array:
         """The multiplier's interpolation (n, components, nodes × components), at all points or those `act`, without the nodes
         that have no part in it."""
@@ -327,7 +332,7 @@ class Blocks:
     def _couple_shape(self) -> tuple[int, int, int]:
         return max(self.points.facets.size, 1), len(self.target.facets), len(self.target.facets)
 
-    def pattern(self, couples: Index, kinematics: Kinematics) -> list[list[tuple[Index, Index, Array]]]:
+    def pattern(self, couples: Index) -> list[list[tuple[Index, Index, Array]]]:
         """For UU, UΛ, ΛU and ΛΛ: zeros (m, 1, ·, 1, ·) with global blocks, wherever the given couples have entries."""
         facet, target, more = np.unravel_index(couples, self._couple_shape)
         on_target, d, m = self.target.blocks[self.target.facets], self.gdim, self.multiplier.components

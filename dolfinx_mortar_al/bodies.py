@@ -8,6 +8,7 @@ body by body: one vector and one matrix hold them all, and a contact pair needs 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from dolfinx_mortar_al.foreseen_pressure import ForeseenPressure
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
 from dolfinx_mortar_al.moduli import doubt_order, yielding_share
-from dolfinx_mortar_al.petsc_blocks import Layout
+from dolfinx_mortar_al.petsc_blocks import JointNumbering
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed, agreed_on_group
 from dolfinx_mortar_al.reductions import max_over, sum_over
@@ -213,26 +214,26 @@ class Bodies:
         own = [[bc for bc in bcs if V._cpp_object.contains(bc.function_space)] for V in spaces]
         if sum(map(len, own)) != len(bcs):
             raise ValueError("bcs: a Dirichlet condition is on a space of none of the displacements u")
+        if jacobians is not None and len(jacobians) != len(spaces):
+            raise ValueError(
+                f"jacobian: {len(jacobians)} forms for {len(spaces)} displacements u: pass one each, or none"
+            )
         forms, seen = (given or [None] * len(spaces) for given in (jacobians, foreseen))
         self.bodies = [BodyForms(*parts) for parts in zip(residuals, displacements, own, forms, seen, strict=True)]
         for u in displacements:
             u.x.scatter_forward()
 
-        counts = np.array(self.comm.allgather([body.owned for body in self.bodies]), dtype=np.int64)  # (ranks, bodies)
-        #: (ranks, bodies) where each rank's part of each body begins, in the body's own numbers and in the common ones
-        self._own_start = np.cumsum(counts, axis=0) - counts
-        self._start = (np.cumsum(counts.ravel()) - counts.ravel()).reshape(counts.shape)
-        mine = self._start[self.comm.rank] - self._start[self.comm.rank, 0]
-        self._slices = [
-            slice(int(s) * self.gdim, int(s + n) * self.gdim) for s, n in zip(mine, counts[self.comm.rank], strict=True)
-        ]
-        self.layout = Layout(self.comm, int(counts[self.comm.rank].sum()), int(counts.sum()), self.gdim)
+        owned = [body.owned for body in self.bodies]
+        self._numbering = JointNumbering(self.comm, owned, self.gdim)
+        ends = self.gdim * np.cumsum([0, *owned])
+        self._slices = [slice(int(first), int(end)) for first, end in pairwise(ends)]
+        self.layout = self._numbering.layout
         self._maps = [self._local_to_common(k) for k in range(len(self.bodies))]
         #: connected pieces of all meshes: numbers begin here for each body, how many there are, and (owned dofs,) whose
         first = np.cumsum([0, *(body.pieces for body in self.bodies)])
         self.first_piece, self.pieces = first[:-1], int(first[-1])
-        owned = [body.piece[: body.owned] + start for body, start in zip(self.bodies, first, strict=False)]
-        self.piece_of_dof = np.repeat(np.concatenate(owned), self.gdim)
+        whose = [body.piece[: body.owned] + start for body, start in zip(self.bodies, first, strict=False)]
+        self.piece_of_dof = np.repeat(np.concatenate(whose), self.gdim)
         self._free_axes: Array | None = None  # the conditions are those of the start
         self._marks: list[fem.Function] = []  # few problems need them
 
@@ -251,8 +252,7 @@ class Bodies:
 
     def common(self, k: int, blocks: Index) -> Index:
         """Common numbers of nodes of body k given by the body's own global numbers (any shape)."""
-        rank = np.searchsorted(self._own_start[:, k], blocks, side="right") - 1
-        return np.asarray(blocks - self._own_start[rank, k] + self._start[rank, k])
+        return self._numbering.common(k, blocks)
 
     def nodes(self, k: int, dofs: NDArray[np.int32]) -> Index:
         """Common numbers of nodes of body k given by numbers local to this rank (any shape)."""
@@ -361,11 +361,6 @@ class Bodies:
             np.minimum(share, softest / np.maximum(largest, 1e-300), out=share, where=pieces)
         return share[self.piece_of_dof]
 
-    def prescribed_pieces(self) -> NDArray[np.bool_]:
-        """(pieces,) of which some component is prescribed (collective)."""
-        some = np.bincount(self.piece_of_dof, weights=self.prescribed(), minlength=self.pieces)
-        return np.asarray(sum_over(self.comm, some) > 0)
-
     def prescribed(self) -> NDArray[np.bool_]:
         """(owned dofs,) components that are prescribed (collective)."""
         parts = zip(self.bodies, self._slices, strict=True)
@@ -468,8 +463,8 @@ class Bodies:
 
     def _shift(self, k: int, columns: Index32) -> None:
         """Turn body k's own global columns into common ones."""
-        starts = self._own_start[:, k] * self.gdim
-        shifts = ((self._start - self._own_start)[:, k] * self.gdim).astype(np.int32)
+        own, common = self._numbering.own_start[:, k], self._numbering.start[:, k]
+        starts, shifts = own * self.gdim, ((common - own) * self.gdim).astype(np.int32)
         if len(set(shifts)) == 1:
             columns += shifts[0]
             return

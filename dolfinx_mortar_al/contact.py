@@ -85,9 +85,9 @@ class Contact:
             bodies, or "gauss", the default, the same points on each facet, in statics as far as the target goes: where it
             ends inside a facet, points follow its end.
         quadrature_degree: of the Gauss points on each facet, at least twice the multiplier's order; default 4 × the
-            displacement's order (on a curved membrane in the plane 6 × order + 1), more where the target's facets are
-            finer, and in space on surfaces of few facets. With segments of the points on each segment; default exact on
-            flat facets.
+            displacement's order (10 of order 1 in the plane, on a curved membrane there 6 × order + 1), more where the
+            target's facets are finer, and in space on surfaces of few facets. With segments of the points on each segment;
+            default exact on flat facets.
         thickness: out of the plane (m), for two-dimensional bodies; the same as in the bulk's forms. Left out, that of the
             :class:`~dolfinx_mortar_al.body.Body` of the surfaces, or 1 with residuals of one's own.
         name: for messages and files; default "contact", with a number where there are several.
@@ -158,8 +158,8 @@ class Contact:
     def said(self) -> dict[str, Any]:
         """What is to be the same on all ranks, by the name of the argument."""
         plain = {field.name: getattr(self, field.name) for field in fields(self)}
-        shown = {"friction": constant_value(self.friction), "contactor": self.contactor.tag, "target": self.target_name}
-        return plain | shown
+        target = self.target if isinstance(self.target, Obstacle) else self.target_name
+        return plain | {"friction": constant_value(self.friction), "contactor": self.contactor.tag, "target": target}
 
     @property
     def target_name(self) -> str:
@@ -648,8 +648,8 @@ class ContactPair(PairFindings):
         return self.state.status != OPEN, np.asarray(-self._normal_multiplier() / self.epsilon.normal)
 
     def _adopt(self, points: IntegrationPoints) -> None:
-        """Integrate at these points from now on."""
-        if points is self.integration:
+        """Integrate at these points from now on (collective in time steps)."""
+        if points is self.integration and not isinstance(self.kinematics, StepLevel):
             return
         origin = self.integration.nearest(points.facet, points.η)
         self.integration = points
@@ -772,7 +772,8 @@ class ContactPair(PairFindings):
             self._leave_ends()
             if self.segments is not None:
                 self.segments.fills = np.zeros_like(self.segments.fills)
-            self.blocks.corners = self.target_end = None
+            self.target_end = None
+            self.blocks.keep_at_corners()
             self.blocks.leave_rough()
             self.kinematics = StepLevel(self.kinematics)
             self.active.cautious = False

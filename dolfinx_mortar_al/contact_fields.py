@@ -22,6 +22,8 @@ __all__ = ["ContactFields", "ContactorFunctions", "gathered"]
 
 Array = NDArray[np.float64]
 
+SAME_PLACE = 1e-12  # of the largest coordinate: points that near each other differ by round-off
+
 
 @dataclass(frozen=True)
 class ContactFields:
@@ -84,7 +86,9 @@ def gathered(mine: ContactFields, comm: MPI.Intracomm) -> ContactFields | None:
     columns: dict[str, Any] = {
         field.name: np.concatenate([getattr(part, field.name) for part in every]) for field in fields(ContactFields)
     }
-    order = np.lexsort(np.round(columns["X"], 12).T[::-1])
+    X = columns["X"]
+    grain = SAME_PLACE * max(np.abs(X).max(initial=0.0), np.finfo(float).tiny)
+    order = np.lexsort(np.round(X / grain).T[::-1])
     return ContactFields(**{name: column[order] for name, column in columns.items()})
 
 

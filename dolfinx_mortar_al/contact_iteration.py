@@ -149,7 +149,7 @@ class ContactIteration:
         if self._is_solid:
             self._keep(self._best)
         while self._left > 0 and size > enough and patterns[-1] not in patterns[:-2]:
-            if self._is_solid and size < start and size < self._bulk_error(bulk):
+            if self._is_solid and size < start and size < self._bulk_error():
                 break
             self._solve(bulk, self._left)
             self._advance()
@@ -185,7 +185,7 @@ class ContactIteration:
             pair.active.thaw()
             pair.apply_law()
 
-    def _bulk_error(self, bulk: LinearisedBulk) -> float:
+    def _bulk_error(self) -> float:
         """Size of what the linearised bulk's forces are off by at z."""
         p, off = self.problem, self._off.getNestSubVecs()[0]
         p.bulk_forces.copy(off)

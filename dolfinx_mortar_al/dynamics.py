@@ -117,8 +117,8 @@ def march(
         progress: show a progress bar with time, iterations and contact state (rank 0, standard error).
 
     Raises:
-        ValueError: at the call: `to` not after `start`, a tolerance that is not positive, a problem with a body that is no
-            motion, or a motion without mass.
+        ValueError: at the call: `to` not after `start`, a tolerance that is not positive, or with another θ than ½, a
+            problem with a body that is no motion, or a motion without mass.
         StepFailure: on every rank, in a step.
     """
     check_problem(problem)
@@ -138,10 +138,16 @@ def march(
     θ = {motion.theta for motion in motions}
     if len(θ) > 1:
         raise ValueError(f"theta = {sorted(θ)}: all motions of a problem need the same θ")
+    if tolerance is not None and θ != {0.5}:
+        raise ValueError(
+            f"tolerance = {tolerance} with theta = {motions[0].theta}: Δt is chosen by the error of the mid-point rule, "
+            "theta = 0.5; leave the tolerance out, and choose step="
+        )
     if not isinstance(ledger, Ledger | None):
         raise ValueError(
             f"ledger: {type(ledger).__name__} is no Ledger; pass that of the last step of an earlier march"
         )
+    agreed(problem.comm, "ledger: its energies", ledger if ledger is None else ledger.total)
     event, solver = Event(problem.comm, until), stepping.solver_of(problem, solver, rtol=RTOL)
     for k, motion in enumerate(motions):  # a density may be a Function, with other values than when it was passed
         motion.body.check_densities()
@@ -242,17 +248,17 @@ class _TimeControl(Controller[Step]):
         problem.dashpots = problem.holding_dashpots()
         try:
             pressed = self.solver.solve().converged and problem.is_pressed()
+            if pressed:
+                for motion in self.motions:
+                    motion.take_up()
+                problem.commit()
+            else:
+                problem.restore(before)
         finally:
             problem.dashpots = None
-        if pressed:
-            for motion in self.motions:
-                motion.take_up()
-            problem.commit()
-        else:
-            problem.restore(before)
-        for motion, v in zip(self.motions, velocities, strict=True):
-            motion.time_step.value = self._way.longest
-            motion.velocity.x.array[:] = v
+            for motion, v in zip(self.motions, velocities, strict=True):
+                motion.time_step.value = self._way.longest
+                motion.velocity.x.array[:] = v
 
     def leave(self) -> None:
         """The motions' Δt is again what it was."""

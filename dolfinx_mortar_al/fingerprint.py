@@ -87,12 +87,11 @@ def _of_pair(pair: ContactPair) -> Fingerprint:
         "multiplier": f"order {contact.multiplier_order}, {pair.multiplier.components} components",
         "projection": contact.projection,
         "thickness": repr(contact.thickness),
-        "integration": contact.integration,
+        "integration": f"{contact.integration}, degree {contact.quadrature_degree or 'by default'}",
         "contactor": _hash([pair.facets.X, pair.gauss.weight]),
     }
     if isinstance(target, Obstacle):
-        shape = {name: np.asarray(v).tolist() for name, v in sorted(vars(target).items()) if not name.startswith("_")}
-        return said | {"target": f"{type(target).__name__} {shape}"}
+        return said | {"target": repr(target)}
     if target is None:
         return said | {"target": "itself"}
     return said | {"target": f"tag {target.tag}", "target's facets": _hash([target.owned_facets()])}

@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
+AT_NODE = 1e-9  # share of the other nodes where a point of the target is one of its nodes
 # Of a gap's turn, what the target's facet says; the contactor's says the rest: half each, so that two bodies that mirror each
 # other have no slip (docs/theory.md).
-AT_NODE = 1e-9  # share of the other nodes where a point of the target is one of its nodes
 SHARE = 0.5
 ROUND_OFF = 4e-16  # of gaps, which are differences of sums, as a share of the distance from the origin
 

@@ -74,22 +74,22 @@ def artanh_rest(z: Expr) -> Expr:
     return ufl.conditional(ufl.lt(abs(z), SERIES), series, ufl.ln((1 + z) / (1 - z)) / 2 - z)
 
 
-def lame(E: Any, ν: Any) -> tuple[Any, Any]:
-    """Lamé's (G, Λ) in Pa from Young's modulus E (Pa) and Poisson's ratio ν: numbers, or UFL such as a Constant.
+def lame(E: Any, nu: Any) -> tuple[Any, Any]:
+    """Lamé's (G, Λ) in Pa from Young's modulus E (Pa) and Poisson's ratio nu: numbers, or UFL such as a Constant.
 
     Raises:
-        ValueError: on numbers out of range, or ν so near 0.5 that forces are round-off; a UFL expression has none to look at.
+        ValueError: on numbers out of range, or nu so near 0.5 that forces are round-off; UFL has none to look at.
     """
     if not is_ufl("E", constant_value(E, "E")):
         number("E", constant_value(E), above=0.0, must="Young's modulus (Pa) must be")
-    if not is_ufl("nu", constant_value(ν, "nu")):
-        ratio = number("nu", constant_value(ν), above=-1.0, below=0.5, must="Poisson's ratio must be")
+    if not is_ufl("nu", constant_value(nu, "nu")):
+        ratio = number("nu", constant_value(nu), above=-1.0, below=0.5, must="Poisson's ratio must be")
         if 1 - 2 * ratio < LEAST_COMPRESSIBILITY:
             raise ValueError(
                 f"nu = {ratio}: 1 − 2ν = {1 - 2 * ratio:.1e} is below {LEAST_COMPRESSIBILITY:g}, where round-off takes the "
                 "digits of forces; take 0.4999, which is incompressible for all practical purposes"
             )
-    return E / (2 * (1 + ν)), E * ν / ((1 + ν) * (1 - 2 * ν))
+    return E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
 
 
 @dataclass(frozen=True)

@@ -79,6 +79,8 @@ def _opened(path: Path) -> Iterator[tuple[Any, list[str]]]:
     started = not gmsh.isInitialized()
     if started:
         gmsh.initialize(interruptible=False)
+    models = len(gmsh.model.list())
+    current, talks = gmsh.model.getCurrent(), gmsh.option.getNumber("General.Terminal")
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.logger.start()
@@ -90,8 +92,11 @@ def _opened(path: Path) -> Iterator[tuple[Any, list[str]]]:
         gmsh.logger.stop()
         if started:
             gmsh.finalize()
-        else:
-            gmsh.clear()
+        else:  # the caller's models are as they were
+            gmsh.option.setNumber("General.Terminal", talks)
+            for _ in range(len(gmsh.model.list()) - models):
+                gmsh.model.remove()
+            gmsh.model.setCurrent(current)
 
 
 def _check_model(gmsh: Any, gdim: int | None) -> int:

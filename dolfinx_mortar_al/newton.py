@@ -433,7 +433,7 @@ class NewtonSolver:
         p.stopwatch.add("linear solve", p.stopwatch.clock() - self._linear_start)
         self._note_stability()
         self.linear.add_ties(y)
-        change = self._change_load(x, y) if self._path is not None else 0.0
+        change = self._change_load(y) if self._path is not None else 0.0
         length = self._damping
         with p.stopwatch("guard"):
             xu, yu = x.getNestSubVecs()[0], y.getNestSubVecs()[0]
@@ -498,7 +498,7 @@ class NewtonSolver:
         if sign is not None:
             self.result.signs.append(sign)
 
-    def _change_load(self, x: PETSc.Vec, y: PETSc.Vec) -> float:
+    def _change_load(self, y: PETSc.Vec) -> float:
         """The change of load that keeps the step x ← x − y on the path's plane; y is changed with it.
 
         With y = 𝐊⁻¹𝐑 and z = 𝐊⁻¹ ∂𝐑/∂λ the step is −(y + Δλ z), and 𝐝·(y + Δλ z) = 0 gives Δλ.

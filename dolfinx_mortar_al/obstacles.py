@@ -77,6 +77,11 @@ class Obstacle(ABC):
         self.pivot = pivot
         self._pose = Pose.initial(len(pivot))
 
+    def __repr__(self) -> str:
+        """Kind, pivot and shape, without the pose."""
+        shape = {name: np.asarray(v).tolist() for name, v in sorted(vars(self).items()) if not name.startswith("_")}
+        return f"{type(self).__name__} {shape}"
+
     @property
     def smallest_radius(self) -> float:
         """Of its surface where that bulges (m), infinite where it does not: what is smaller than the distance of integration
@@ -182,7 +187,23 @@ class RigidPlane(Obstacle):
         return _Nearest(flat, ν, _tangents(ν), np.zeros((len(r), self.gdim - 1)), np.ones(len(r), dtype=bool))
 
 
-class RigidSphere(Obstacle):
+class _Round(Obstacle):
+    """One with a radius (m), from outside or, `inside`, from the hollow."""
+
+    def __init__(self, pivot: Array, radius: float, inside: bool) -> None:
+        super().__init__(pivot)
+        self.radius, self.inside = _radius(radius), inside
+
+    @property
+    def reach(self) -> float:
+        return super().reach + self.radius
+
+    @property
+    def smallest_radius(self) -> float:
+        return np.inf if self.inside else self.radius
+
+
+class RigidSphere(_Round):
     """A ball (a disc in 2D), or with `inside` the matter around a spherical hollow that holds the bodies.
 
     Args:
@@ -195,16 +216,7 @@ class RigidSphere(Obstacle):
     """
 
     def __init__(self, centre: ArrayLike, radius: float, inside: bool = False) -> None:
-        super().__init__(_vector("centre", centre))
-        self.radius, self.inside = _radius(radius), inside
-
-    @property
-    def reach(self) -> float:
-        return super().reach + self.radius
-
-    @property
-    def smallest_radius(self) -> float:
-        return np.inf if self.inside else self.radius
+        super().__init__(_vector("centre", centre), radius, inside)
 
     def _nearest(self, r: Array) -> _Nearest:
         e, defined = _direction(r, np.eye(self.gdim)[0], self.radius)
@@ -213,7 +225,7 @@ class RigidSphere(Obstacle):
         return _Nearest(self.radius * e, side * e, _tangents(side * e), κ, defined)
 
 
-class RigidCylinder(Obstacle):
+class RigidCylinder(_Round):
     """An endless round cylinder in 3D, or with `inside` the matter around a bore that holds the bodies.
 
     Args:
@@ -227,17 +239,8 @@ class RigidCylinder(Obstacle):
     """
 
     def __init__(self, point: ArrayLike, axis: ArrayLike, radius: float, inside: bool = False) -> None:
-        super().__init__(_vector("point", point, 3))
+        super().__init__(_vector("point", point, 3), radius, inside)
         self.axis = _unit("axis", axis, 3)
-        self.radius, self.inside = _radius(radius), inside
-
-    @property
-    def reach(self) -> float:
-        return super().reach + self.radius
-
-    @property
-    def smallest_radius(self) -> float:
-        return np.inf if self.inside else self.radius
 
     def _nearest(self, r: Array) -> _Nearest:
         along = (r @ self.axis)[:, None] * self.axis

@@ -28,7 +28,7 @@ __all__ = ["History", "ParaView", "Probe", "Run", "deformed_cells", "extent", "p
 
 Array = NDArray[np.float64]
 
-
+ROUND_OFF = 1e-12  # of the largest coordinate: as much outside of its cells a point is in them
 FROM_STEPS = ("newton_iterations", "wall_time")  # columns that a Run fills in
 
 
@@ -344,7 +344,8 @@ class Probe:
 
         if not len(cells):
             return cells
-        tree = geometry.bb_tree(mesh, mesh.topology.dim, entities=cells, padding=1e-12)
+        padding = ROUND_OFF * float(np.abs(mesh.geometry.x).max())
+        tree = geometry.bb_tree(mesh, mesh.topology.dim, entities=cells, padding=padding)
         near = geometry.compute_collisions_points(tree, self._point)
         return np.asarray(geometry.compute_colliding_cells(mesh, near, self._point).links(0)[:1])
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.bodies import Bodies, BodyForms
-from dolfinx_mortar_al.petsc_blocks import Layout
+from dolfinx_mortar_al.petsc_blocks import JointNumbering
 
 __all__ = ["FirstOrder"]
 
@@ -32,14 +32,12 @@ class FirstOrder:
         self._bodies, comm, d = bodies, bodies.comm, bodies.gdim
         spaces = [fem.functionspace(body.mesh, ("Lagrange", 1, (d,))) for body in bodies.bodies]
         self._coarse = [fem.Function(V) for V in spaces]
-        counts = np.array(comm.allgather([V.dofmap.index_map.size_local for V in spaces]), dtype=np.int64)
-        self._own_start = np.cumsum(counts, axis=0) - counts
-        self._start = (np.cumsum(counts.ravel()) - counts.ravel()).reshape(counts.shape)
-        self._layout = Layout(comm, int(counts[comm.rank].sum()), int(counts.sum()), d)
+        numbering = JointNumbering(comm, [V.dofmap.index_map.size_local for V in spaces], d)
+        self._layout = numbering.layout
         indptr, columns, values = [np.zeros(1, dtype=np.int64)], [], []
         for k, body in enumerate(bodies.bodies):
             rows, block, component, weight = self._of(body, k)
-            columns.append(self._common(k, block) * d + component)
+            columns.append(numbering.common(k, block) * d + component)
             values.append(weight)
             indptr.append(rows[1:].astype(np.int64) + indptr[-1][-1])
         self.interpolation = PETSc.Mat().create(comm)
@@ -48,11 +46,6 @@ class FirstOrder:
         self.interpolation.setBlockSizes(d, d)
         csr = np.concatenate(indptr).astype(np.int32), np.concatenate(columns).astype(np.int32)
         self.interpolation.setPreallocationCSR((*csr, np.concatenate(values)))
-
-    def _common(self, k: int, blocks: Index) -> Index:
-        """Numbers among all bodies' of nodes of body k given by its own global numbers."""
-        rank = np.searchsorted(self._own_start[:, k], blocks, side="right") - 1
-        return np.asarray(blocks - self._own_start[rank, k] + self._start[rank, k])
 
     def _of(self, body: BodyForms, k: int) -> tuple[Index, Index, Index, Array]:
         """Interpolation to one body in compressed rows: starts, the columns' global nodes and components, weights."""

@@ -156,7 +156,7 @@ class PairFindings(PairResults):
 
     def overlap_at_start(self) -> Finding | None:
         """The deepest point that is closed as the problem is set up, if deeper than DEEPLY (collective)."""
-        depth = np.where(self.active.closed, self.at.g, -np.inf) / self.target.size
+        depth = np.where(self.state.status != OPEN, self.at.g, -np.inf) / self.target.size
         k = int(np.argmax(depth)) if len(depth) else -1
         mine = (float(depth[k]), tuple(self.points()[k].tolist())) if len(depth) else (-np.inf, ())
         value, X = max(self.comm.allgather(mine))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,16 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-__all__ = ["Layout", "empty_matrix", "insert", "insert_vector", "matrix_with_pattern", "row_by_row", "without_zeros"]
+__all__ = [
+    "JointNumbering",
+    "Layout",
+    "empty_matrix",
+    "insert",
+    "insert_vector",
+    "matrix_with_pattern",
+    "row_by_row",
+    "without_zeros",
+]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -44,6 +54,31 @@ class Layout:
         v = PETSc.Vec().createMPI(self.sizes, bsize=self.components, comm=self.comm)
         v.set(0.0)
         return v
+
+
+class JointNumbering:
+    """Common numbers of the nodes of several spaces: on each rank those of the first, then those of the next.
+
+    Args:
+        comm: of the spaces.
+        owned: how many nodes of each this rank has.
+        components: per node.
+
+    Attributes:
+        own_start, start: (ranks, spaces) where each rank's part of each begins, in the space's own numbers and the common.
+        layout: of all of them.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, owned: Sequence[int], components: int) -> None:
+        counts = np.array(comm.allgather(list(owned)), dtype=np.int64)
+        self.own_start = np.cumsum(counts, axis=0) - counts
+        self.start = (np.cumsum(counts.ravel()) - counts.ravel()).reshape(counts.shape)
+        self.layout = Layout(comm, int(counts[comm.rank].sum()), int(counts.sum()), components)
+
+    def common(self, k: int, nodes: Index) -> Index:
+        """Common numbers of nodes of space k given by its own global numbers (any shape)."""
+        rank = np.searchsorted(self.own_start[:, k], nodes, side="right") - 1
+        return np.asarray(nodes - self.own_start[rank, k] + self.start[rank, k])
 
 
 def empty_matrix(rows: Layout, columns: Layout) -> PETSc.Mat:

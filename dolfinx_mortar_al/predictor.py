@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.petsc_blocks import Layout
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot
 from dolfinx_mortar_al.reductions import sum_over
 
@@ -29,11 +32,16 @@ class Predictor:
         self._touching: list[bool] = []  # of each pair, in the last state
         self._slack = problem.slack.copy()
         #: of each predicted array, the polynomial order to predict it with
-        self._order = {(member, name): 1 for member, name in self._predicted()}
+        self._order = dict.fromkeys(self._owned, 1)
 
-    def _predicted(self) -> list[tuple[str, str]]:
-        """What is extrapolated: member and name of arrays of a snapshot."""
-        return [("bodies", "u"), *((f"pair{k}", "multiplier") for k in range(len(self.problem.pairs)))]
+    @cached_property
+    def _owned(self) -> dict[tuple[str, str], int]:
+        """What is extrapolated, member and name of arrays of a snapshot: how many of its first values are this rank's."""
+        problem = self.problem
+        layouts = {("bodies", "u"): problem.bodies.layout}
+        for k, pair in enumerate(problem.pairs):
+            layouts[f"pair{k}", "multiplier"] = Layout.of(pair.multiplier.field.function_space)
+        return {array: layout.sizes[0] for array, layout in layouts.items()}
 
     def add(self, abscissa: float, afresh: bool = False) -> None:
         """A state has converged; choose the polynomial orders that would have predicted it well. Where a pair has touched or
@@ -118,7 +126,7 @@ class Predictor:
         member, name = array
         best, least = 1, np.inf
         for order in range(1, min(MAX_ORDER + 1, len(self._states))):
-            miss = state[member][name] - self._extrapolated(array, abscissa, order)
+            miss = (state[member][name] - self._extrapolated(array, abscissa, order))[: self._owned[array]]
             size = np.sqrt(sum_over(self.problem.comm, float(miss @ miss)))
             if size * BETTER < least:
                 best, least = order, size

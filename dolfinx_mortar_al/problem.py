@@ -95,6 +95,27 @@ class Member(Protocol):
         """Back to a snapshot."""
 
 
+@dataclass
+class Standing:
+    """How pieces that contact alone holds stood in the last equilibrium.
+
+    Attributes:
+        held: whether supports, or contact as firmly as supports, held all pieces.
+        free: (pieces,) which ones nothing presses on.
+    """
+
+    held: bool
+    free: NDArray[np.bool_]
+
+    def snapshot(self) -> dict[str, Array]:
+        """Copies of both."""
+        return {"held": np.array([float(self.held)]), "free": self.free.astype(float)}
+
+    def restore(self, saved: dict[str, Array]) -> None:
+        """Back to a snapshot."""
+        self.held, self.free = bool(saved["held"][0]), saved["free"] > 0
+
+
 class ContactProblem:
     """Bodies with contact pairs: ``ContactProblem(body, contacts=…)`` with a :class:`~dolfinx_mortar_al.body.Body`, in motion
     with a :class:`~dolfinx_mortar_al.motion.Motion`, or several; or ``ContactProblem(F, u, bcs=…, contacts=…)`` with any
@@ -193,8 +214,6 @@ class ContactProblem:
         #: (pieces,) largest stiffness times diameter: the size of forces that strain a piece by one (N)
         self.firmness = self.bodies.stiffest(stiffness) * self.bodies.diameters()
         self.force_floor, self._least_borne = 2e-15 * self.firmness, SLACK * self.firmness
-        #: whether supports, or contact as firmly as supports, held all pieces in the last equilibrium
-        self.is_held = not self.floating
         #: size of forces that a step of bodies in motion resolves, on all pieces (N); None in statics
         self.force_reference: float | None = None
         self.gap_floor = [max(2e-15 * diameter, pair.kinematics.round_off) * pair.area for pair in self.pairs]
@@ -298,11 +317,12 @@ class ContactProblem:
         self._slid: NDArray[np.bool_] = np.zeros(len(self.pairs), dtype=bool)
         #: of pieces that contact alone holds; None if there are none
         self.ties = None if self.springs is None else Ties(self.bodies, self.springs.array_r * self._spring_shares)
-        # which pieces nothing presses on: as found last, and in the last equilibrium
+        # which pieces nothing presses on, as found last
         self._free: NDArray[np.bool_] = np.zeros(self.bodies.pieces, dtype=bool)
-        self._known_free: NDArray[np.bool_] = self._free
+        #: of pieces, in the last equilibrium
+        self.standing = Standing(not self.floating, self._free)
         if self.ties is not None:
-            self.members["ties"] = self.ties
+            self.members |= {"ties": self.ties, "standing": self.standing}
         for k in range(1, n):
             for i, j in [(0, k), (k, 0), (k, k)]:
                 self.blocks[i][j] = empty_matrix(self._layouts[i], self._layouts[j])
@@ -331,9 +351,7 @@ class ContactProblem:
                 wide = pair.blocks.with_neighbours(wide, pair.kinematics)
             unseen = np.setdiff1d(wide, self._seen[k - 1], assume_unique=True)
             self._seen[k - 1] = np.union1d(self._seen[k - 1], unseen)
-            for (i, j), elements in zip(
-                [(0, 0), (0, k), (k, 0), (k, k)], pair.blocks.pattern(unseen, pair.kinematics), strict=True
-            ):
+            for (i, j), elements in zip([(0, 0), (0, k), (k, 0), (k, k)], pair.blocks.pattern(unseen), strict=True):
                 entries = empty_matrix(self._layouts[i], self._layouts[j])
                 for element in elements:
                     insert(entries, *element)
@@ -579,8 +597,8 @@ class ContactProblem:
     def never_met(self, said: Sequence[Finding]) -> list[Finding]:
         """Of a march without contact, how near the surfaces of each pair are, but of one that may touch itself, or of which
         the findings `said` tell more (collective)."""
-        told = {finding.name.split(":")[0] for finding in said}
-        return [pair.never_met() for pair in self.pairs if not pair.target.is_contactor and pair.name not in told]
+        quiet = [pair for pair in self.pairs if not any(f.name.startswith(f"{pair.name}: ") for f in said)]
+        return [pair.never_met() for pair in quiet if not pair.target.is_contactor]
 
     def has_thrown_off(self) -> bool:
         """Whether a piece that contact alone holds is far from where the last solve began, and nothing touches it
@@ -609,7 +627,7 @@ class ContactProblem:
                 mine = np.array([touched[n] for touched in self._touched], dtype=bool)
                 if (before & mine).any() and not (now & mine).any():
                     found.append(Finding(f"contacts of {piece}", 0.0, (), LET_GO, fatal=False))
-                elif self._free[n] and not self._known_free[n]:
+                elif self._free[n] and not self.standing.free[n]:
                     found.append(Finding(f"contact forces on {piece}", 0.0, (), FREE, fatal=False))
                 elif not self._free[n] and rounded[n] > TOLD:
                     found.append(Finding(f"round-off on {piece}", float(rounded[n]), (), ROUNDED, fatal=False))
@@ -765,7 +783,7 @@ class ContactProblem:
         for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
             for piece in body.floating:
                 n = first + piece.number
-                if self.is_held and touched[n]:
+                if self.standing.held and touched[n]:
                     continue
                 held = any(pieces[n] for pieces in self._touched)
                 found.append((forces[n], f"{'contact alone' if held else 'nothing'} holds {piece}"))
@@ -852,8 +870,7 @@ class ContactProblem:
 
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""
-        self._known_free = self._free
-        self.is_held = not self.floating or self.contact_holds()
+        self.standing.free, self.standing.held = self._free, not self.floating or self.contact_holds()
         self._look_what_bears()
         self.bodies.begin()
         if self.ties is not None:

@@ -198,7 +198,8 @@ def march(
         agreed(problem.comm, "start", begin)
         legs = _legs(problem, stages, done=int(begin))
     else:
-        legs, begin = _legs(problem, [Stage(load, to, increments)], start), 0.0  # type: ignore[arg-type]
+        legs = _legs(problem, [Stage(load, to, increments)], start)  # type: ignore[arg-type]
+        begin = float(legs[0].start is not None and _alike(problem, legs[0].start, legs[0].end))  # 1: it is over
     agreed(problem.comm, "smallest", smallest)
     control = _LoadControl(problem, stepping.solver_of(problem, solver), legs, begin, smallest, event)
     return March(_steps(control, progress), problem.comm.rank)
@@ -262,7 +263,7 @@ def _follow(control: _PathControl, start: float | None, progress: bool) -> Gener
         load.number = start
     control.mark()
     legs = _legs(problem, [Stage(load.source, load.number + first, 1)])
-    given = _LoadControl(problem, control.solver, legs, 0.0, SMALLEST, Event(problem.comm, None))
+    given = _LoadControl(problem, control.solver, legs, 0.0, control.smallest, Event(problem.comm, None), goes_on=True)
     for step in _steps(given, progress=False):
         yield replace(step, path=control.length())
     control.mark()
@@ -337,7 +338,7 @@ def _legs(problem: ContactProblem, stages: Sequence[Stage], start: float | None 
         earlier = next((one for one in reversed(legs[done:]) if one.load is load), None)
         before = leg.start if leg.start is not None else load.value if earlier is None else earlier.end
         chosen = earlier is not None and stages[legs.index(earlier)].until is not None  # where it ends, by an event
-        if k >= done and not chosen and _alike(problem, before, leg.end):
+        if k >= done and not chosen and start is None and _alike(problem, before, leg.end):
             at = f" {float(before[0]):g}" if load.is_number else ""
             raise ValueError(f"{where}to = {stage.to}: the load must move away from its present value{at}")
         legs.append(leg)
@@ -404,6 +405,7 @@ class _LoadControl(Controller[Step]):
         start: float,
         smallest: float,
         event: Event,
+        goes_on: bool = False,
     ) -> None:
         self.problem, self.smallest, self.solver = problem, smallest, solver
         self._legs, self._event, self._predictor = legs, event, Predictor(problem)
@@ -417,10 +419,10 @@ class _LoadControl(Controller[Step]):
         # how far a node went for the length of the step, to that state and in the last trial (m)
         self._pace = self._going = np.inf
         self._path = start
-        self._met = False  # whether anything has been in contact in a state of this march
+        self._met = goes_on  # whether anything has been in contact in a state of this march, or may be after it
 
     def begin(self) -> None:
-        self._met = self.problem.is_pressed()  # what touches at the start may be led away
+        self._met |= self.problem.is_pressed()  # what touches at the start may be led away
         self._before = self.problem.bodies.get()
         if self.finished:
             return
@@ -511,7 +513,7 @@ class _LoadControl(Controller[Step]):
     @property
     def _may_relax(self) -> bool:
         """Whether bodies may be let go: what may slide or roll has ties instead, and a membrane's start a tension."""
-        return self.problem.is_held and not self.problem.lacks_stiffness and self.smallest <= stepping.RELAXED
+        return self.problem.standing.held and not self.problem.lacks_stiffness and self.smallest <= stepping.RELAXED
 
     def relax(self, length: float) -> Attempt | None:
         p, leg = self.problem, self._legs[self.leg]

@@ -33,7 +33,7 @@ def balls(facets: Array) -> tuple[Array, Array]:
     """Centre (nf, gdim) and radius (nf,) of a ball around each facet with nodes (nf, k, gdim)."""
     centre = facets.mean(axis=1)
     # a facet of order 2 stays within 1.25 times the hull of its nodes seen from their mean (Lebesgue constant)
-    return centre, 1.25 * np.linalg.norm(facets - centre[:, None], axis=2).max(axis=1)
+    return centre, 1.25 * np.linalg.norm(facets - centre[:, None], axis=2).max(axis=1, initial=0.0)
 
 
 def _table(row: Index, facet: Index, n: int) -> Index:

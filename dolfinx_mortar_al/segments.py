@@ -27,7 +27,7 @@ from dolfinx_mortar_al.moving_cuts import MovingCuts
 from dolfinx_mortar_al.projection import dot, inverse
 from dolfinx_mortar_al.rays import OPPOSED
 from dolfinx_mortar_al.reductions import max_over
-from dolfinx_mortar_al.search import where
+from dolfinx_mortar_al.search import balls, where
 from dolfinx_mortar_al.surface import Facets, GatheredFacets, ShapeFunctions, surface_normal
 
 __all__ = ["UNCOVERED", "Segments", "cuts_on_curve", "ends_of", "images_on_curve", "segments_of"]
@@ -74,9 +74,9 @@ class Segments(ABC):
     ) -> None:
         self._facets, self._target, self._comm = facets, target, comm
         self._degree, self._thickness = degree, thickness
-        own = np.linalg.norm(np.ptp(facets.X, axis=1), axis=1).max(initial=0.0)
+        own = max_over(comm, float(np.linalg.norm(np.ptp(facets.X, axis=1), axis=1).max(initial=0.0)))
         #: farther from the contactor (m) an end of a target facet makes no cut: nothing is closed there
-        self._reach = max(target.size_of_facets, float(own))
+        self._reach = max(target.size_of_facets, own)
         # (nodes,) where the target ends, or turns away by more than makes its side
         self._sharp = target.ends(OPPOSED)
         #: nodes of the latter kind
@@ -118,7 +118,9 @@ class Segments(ABC):
             seen = near | self._near
             motion = min(np.abs(images[seen] - self._seen[seen]).max(initial=0.0), 1.0)  # off a facet: infinite
         motion = max_over(self._comm, float(motion))
-        if np.isfinite(motion) and not self._follows(motion):
+        if not np.isfinite(motion):
+            self.rest = self.lags = False
+        elif not self._follows(motion):
             return None
         self._seen: Array = images
         self._near: Bool = near
@@ -132,7 +134,7 @@ class Segments(ABC):
             if max(moved) <= margin / 8:
                 return False
         self._x1, self._x2 = contactor.copy(), target.copy()
-        centre, radius = _ball(contactor)
+        centre, radius = balls(contactor)
         other, size = self._ends(target)
         self._couples = self._near_ends((centre, radius + self._reach + margin), (other, size))
         return True
@@ -167,13 +169,6 @@ def ends_of(target: GatheredFacets, gauss: IntegrationPoints, degree: int, comm:
     either dimension; `comm` as in :class:`Segments`."""
     kind = _IntervalsAtEnds if gauss.facets.shape.dim == 1 else _PolygonsAtEnds
     return kind(target, gauss, degree, comm)
-
-
-def _ball(facets: Array) -> tuple[Array, Array]:
-    """Centre and radius (m) of balls around facets with nodes (nf, k, gdim)."""
-    centre = facets.mean(axis=1)
-    # a facet of order 2 stays within 1.25 times the hull of its nodes seen from their mean
-    return centre, 1.25 * np.linalg.norm(facets - centre[:, None], axis=2).max(axis=1, initial=0.0)
 
 
 def _near_balls(a: Array, radius_a: Array, b: Array, radius_b: Array) -> tuple[Index, Index]:
@@ -328,7 +323,7 @@ class _Polygons(Segments):
         super().__init__(facets, target, degree, whole.thickness, comm)
 
     def _ends(self, target: Array) -> tuple[Array, Array]:
-        return _ball(target[self._target.facets])
+        return balls(target[self._target.facets])
 
     def _chart(self, contactor: Array) -> tuple[Array, Array, Array]:
         """Of each facet's corners: centre (nf, 3), outward unit normal (nf, 3) and contravariant tangents (nf, 2, 3)."""

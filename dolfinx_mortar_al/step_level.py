@@ -137,7 +137,7 @@ class StepLevel(Kinematics):
         """Other points from now on, for a step from the present displacements; nothing but what is `unspent` is kept from
         step to step."""
         self.points, self._place = points, None
-        self.offset, self.unspent = self.offset[origin], self.unspent[origin]
+        self.offset, self.unspent, self.share = self.offset[origin], self.unspent[origin], self.share[origin]
         self.begin()
         self.set_history(self.end.point)
 

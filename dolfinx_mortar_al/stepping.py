@@ -288,12 +288,12 @@ class Bar:
 
     Args:
         problem: whose contact it shows.
-        shown: whether there is a bar at all.
+        shown: whether there is a bar at all, on rank 0.
     """
 
     def __init__(self, problem: ContactProblem, shown: bool) -> None:
         self._problem, self._bar = problem, None
-        if shown:
+        if problem.comm.bcast(bool(shown)):
             from tqdm import tqdm
 
             layout = "{percentage:3.0f}%|{bar:20}| {elapsed} {postfix}"

@@ -30,7 +30,6 @@ from dolfinx_mortar_al.reductions import max_over, sum_over
 __all__ = ["PUSHED", "Bearing", "Ties"]
 
 Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 STIFFNESS = 0.1  # of a tie, as a share of what a piece resists a deformation of its own size with

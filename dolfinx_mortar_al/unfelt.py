@@ -29,7 +29,7 @@ from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.projection import Projection
-from dolfinx_mortar_al.reductions import any_over
+from dolfinx_mortar_al.reductions import any_over, max_over
 from dolfinx_mortar_al.self_target import SelfTarget
 from dolfinx_mortar_al.surface import Facets, Surface, surface_normal
 from dolfinx_mortar_al.swept import DEPTH, depth_behind, passed_obstacle, passed_through
@@ -289,7 +289,8 @@ class Unfelt:
         `spacing` (nf,) of the integration points (m)."""
         target, surface = self._contactor.target, self._contactor.target.surface
         facets = self._own[self._contactor.silent[self._own]]
-        parts = int(np.ceil(4 * target.extents[facets].max(initial=0.0) / obstacle.smallest_radius))
+        longest = max_over(self._comm, float(target.extents[facets].max(initial=0.0)))
+        parts = int(np.ceil(4 * longest / obstacle.smallest_radius))
         facets = facets if parts > 1 else facets[:0]
         nodes = target.nodes[surface.facets[facets]]
         clearance = -obstacle.project(nodes.reshape(-1, nodes.shape[2])).g.reshape(nodes.shape[:2])

@@ -11,11 +11,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dolfinx import fem, mesh
 from killed_run import FAULT
 from mpi4py import MPI
 from scenes import beams
 
-from dolfinx_mortar_al import Checkpoint
+from dolfinx_mortar_al import (
+    Body,
+    Checkpoint,
+    Contact,
+    ContactProblem,
+    Surface,
+    dynamics,
+    materials,
+    obstacles,
+    quasistatic,
+)
+from meshes.two_beams import LOWER_TOP, UPPER_BOTTOM, TwoBeams
 
 SCRIPT = str(Path(__file__).with_name("killed_run.py"))
 
@@ -182,3 +194,42 @@ def test_another_problem_is_refused(shared_path):
 def test_nothing_saved_yet(shared_path):
     problem, _ = beams()
     assert Checkpoint(shared_path, problem).load() is None
+
+
+def test_a_checkpoint_is_loaded_twice_in_motion(shared_path):
+    """With segments, where some ranks have no facet of the contactor: all of them find the target's nodes anew."""
+    domain, _, tags = TwoBeams(height=0.5, width=0.5, along=(4, 5), across=2, through=2).create()
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    motion = dynamics.Motion(Body(u, materials.neo_hookean(1e3, 0.3), density=1.0), step=1e-3)
+    sides = [Surface(domain, tags, tag) for tag in (UPPER_BOTTOM, LOWER_TOP)]
+    problem = ContactProblem(motion, contacts=[Contact(*sides, integration="segments", friction=0.3)])
+    list(dynamics.march(problem, to=2e-3))
+    checkpoint = Checkpoint(shared_path, problem)
+    checkpoint.save(2e-3)
+    assert [checkpoint.load().at for _ in range(3)] == [2e-3] * 3
+    (step,) = dynamics.march(problem, start=2e-3, to=3e-3)
+    assert step.rejected == 0
+
+
+def test_a_body_that_friction_holds_is_held_after_a_restart(shared_path):
+    """A block pressed between planes is no longer known to be held once its load is taken away, and is again with the state
+    of before: where no step leads on, it may be let go at once."""
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4, mesh.CellType.quadrilateral)
+    sides = [mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (0.0, 1.0)]
+    facets = np.sort(np.concatenate(sides))
+    tags = mesh.meshtags(domain, 1, facets, np.isin(facets, sides[1]).astype(np.int32))
+    planes = [obstacles.RigidPlane((0.0, 0.0), (0.0, 1.0)), obstacles.RigidPlane((0.0, 1.0), (0.0, -1.0))]
+    contacts = [Contact(Surface(domain, tags, k), planes[k], friction=0.5, name=f"{k}") for k in (0, 1)]
+
+    def block():
+        u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+        return ContactProblem(Body(u, materials.neo_hookean(1e3, 0.3)), contacts=contacts)
+
+    problem = block()
+    list(quasistatic.march(problem, lambda d: planes[1].move((0.0, -d)), to=0.02, increments=2))
+    assert problem.standing.held
+    Checkpoint(shared_path, problem).save(0.02)
+    other = block()
+    assert not other.standing.held
+    Checkpoint(shared_path, other).load()
+    assert other.standing.held

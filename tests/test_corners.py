@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import CellType, create_box, create_rectangle, locate_entities_boundary, meshtags
+from dolfinx.mesh import (
+    CellType,
+    create_box,
+    create_rectangle,
+    create_unit_square,
+    exterior_facet_indices,
+    locate_entities_boundary,
+    meshtags,
+)
 from mpi4py import MPI
 from scenes import assert_tangent, blocks, rough, set_field
 from test_projection import curved_surface
@@ -17,7 +25,16 @@ from robustness_model import Model
 from robustness_scenes import UPPER, Body, Scene, Stage, draw
 
 from dolfinx_mortar_al import Body as Solid
-from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, materials, quasistatic
+from dolfinx_mortar_al import (
+    Contact,
+    ContactProblem,
+    NewtonSolver,
+    Surface,
+    dynamics,
+    materials,
+    obstacles,
+    quasistatic,
+)
 from dolfinx_mortar_al.closest_point import project
 from dolfinx_mortar_al.corners import _faces
 from dolfinx_mortar_al.search import CandidateSearch
@@ -167,6 +184,23 @@ def test_tangent_where_points_see_the_target_at_a_slant(dim, order, friction):
     slanted = pair.kinematics.slanted
     assert slanted.any() and (slanted & ~pair.active.closed).any()
     assert_tangent(problem, at, lambda: set_field(problem, *direction, clamped=False))
+
+
+def test_in_motion_corners_keep_their_nodes():
+    """A square with all of its boundary in the surface, which touches the floor as it is made: in statics nodes at its lower
+    corners have no part in the open sides, in time steps they have, whatever touches at first."""
+    domain = create_unit_square(MPI.COMM_WORLD, 4, 4, CellType.quadrilateral)
+    domain.topology.create_connectivity(1, 2)
+    facets = np.sort(exterior_facet_indices(domain.topology))
+    tags = meshtags(domain, 1, facets, np.ones(len(facets), dtype=np.int32))
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    motion = dynamics.Motion(Solid(u, materials.neo_hookean(1e3, 0.3), density=1.0), step=1e-3)
+    contact = Contact(Surface(domain, tags, 1), obstacles.RigidPlane((0.0, 0.0), (0.0, 1.0)))
+    (pair,) = ContactProblem(motion, contacts=[contact]).pairs
+    assert domain.comm.allreduce(int(pair.blocks.left_out_at_corners.sum())) == 2
+    pair.use_steps()
+    assert pair.blocks.left_out_at_corners is None
+    assert np.array_equal(pair.blocks.NΛ, pair.blocks.interpolation(None))
 
 
 @pytest.mark.one_rank

@@ -366,6 +366,44 @@ def test_mesh_files_that_dolfinx_would_not_survive(shared_path, kind):
         read_msh(path)
 
 
+def test_a_thickness_in_space():
+    """A body in space has that of its mesh: forces would be scaled without a word."""
+    built, _, tags = TwoBeams(along=(2, 2), across=1, through=1, dim=3).create()
+    u = fem.Function(fem.functionspace(built, ("Lagrange", 1, (3,))))
+    law = materials.neo_hookean(1.0, 0.3)
+    sides = [Surface(built, tags, tag) for tag in (UPPER_BOTTOM, LOWER_TOP)]
+    for make in (
+        lambda: Body(u, law, thickness=0.02),
+        lambda: ContactProblem(Body(u, law), contacts=[Contact(*sides, thickness=0.02)]),
+    ):
+        with pytest.raises(ValueError, match=r"thickness = 0\.02: out of the plane, and this body is in space"):
+            make()
+
+
+@pytest.mark.one_rank
+def test_reading_a_file_leaves_the_callers_models(tmp_path):
+    import gmsh
+
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.add("other")
+        gmsh.model.occ.addRectangle(0, 0, 0, 1, 1)
+        gmsh.model.occ.synchronize()
+        gmsh.model.addPhysicalGroup(2, [1], 1)
+        gmsh.model.mesh.generate(2)
+        gmsh.write(str(tmp_path / "square.msh"))
+        gmsh.model.add("mine")
+        gmsh.model.occ.addRectangle(0, 0, 0, 2, 1)
+        gmsh.model.occ.synchronize()
+        before = gmsh.model.list()
+        read_msh(tmp_path / "square.msh", MPI.COMM_SELF)
+        assert gmsh.model.list() == before and gmsh.model.getCurrent() == "mine"
+        assert gmsh.model.getEntities(2) == [(2, 1)]
+    finally:
+        gmsh.finalize()
+
+
 def test_pairs_that_are_there_twice(domain):
     a = pair(domain)
     with pytest.raises(ValueError, match="is there twice"):
@@ -670,7 +708,20 @@ def squares():
 
 @pytest.mark.several_ranks
 @pytest.mark.parametrize(
-    "what", ["bcs", "bcs of a Body", "bodies", "contacts", "material", "external", "tag", "quadrature", "rtol", "calls"]
+    "what",
+    [
+        "bcs",
+        "bcs of a Body",
+        "bodies",
+        "contacts",
+        "material",
+        "external",
+        "tag",
+        "obstacle",
+        "quadrature",
+        "rtol",
+        "calls",
+    ],
 )
 def test_what_one_rank_alone_makes_otherwise(what):
     """Conditions only where there are nodes of them, numbers drawn on each rank: refused before ranks wait for each other."""
@@ -698,6 +749,10 @@ def test_what_one_rank_alone_makes_otherwise(what):
         "tag": (
             lambda: ContactProblem(bodies, contacts=[Contact(bottom if here else other, top)]),
             "contactor of the contact 'contact': 1 on rank 0, 2 on rank 1",
+        ),
+        "obstacle": (
+            lambda: ContactProblem(bodies, contacts=[Contact(bottom, obstacles.RigidSphere((0.5, -1.0), 0.5 + rank))]),
+            "target of the contact 'contact': RigidSphere .*'radius': 0.5} on rank 0, .*'radius': 1.5} on rank 1",
         ),
         "quadrature": (
             lambda: ContactProblem(bodies, contacts=[Contact(bottom, top, quadrature_degree=4 + rank)]),
@@ -741,9 +796,21 @@ def test_a_march_that_is_another_on_one_rank():
         (lambda: march(smallest=smallest), "smallest: 0.1 on rank 0"),
         (lambda: follow(smallest=smallest), "smallest: .* on rank 0"),
         (lambda: dynamics.march(moving, to=1.0, smallest=smallest), "smallest, Δt: .* on rank 0"),
+        (
+            lambda: dynamics.march(moving, to=1.0, ledger=dynamics.Ledger(0.0, 0.0) if here else None),
+            "ledger: its energies: 0.0 on rank 0, None on rank 1",
+        ),
     ]:
         with pytest.raises(ValueError, match=words):
             make()
+
+
+def test_a_bar_that_rank_0_alone_asks_for(capfd):
+    """As programs do who print on one rank: it shows contact, which is collective."""
+    problem, P = beams(order=1)
+    here = problem.comm.rank == 0
+    list(quasistatic.march(problem, P, to=1.0, increments=1, progress=here))
+    assert ("closed" in capfd.readouterr().err) == here
 
 
 @pytest.mark.several_ranks
@@ -805,7 +872,7 @@ def test_arguments_of_another_kind(shared_path):
     def march(load=P, to=1.0, **options):
         return quasistatic.march(problem, load, to=to, increments=1, **options)
 
-    moving = ContactProblem(dynamics.Motion(body, step=1e-3))
+    moving, damped = (ContactProblem(dynamics.Motion(body, step=1e-3, theta=θ)) for θ in (0.5, 1.0))
     for make, words in [
         (lambda: materials.neo_hookean(two, 0.3), r"E: a Constant of shape \(2,\); must be one number"),
         (lambda: materials.neo_hookean(1.0, 0.3 * two), r"nu: UFL of shape \(2,\); must be a scalar"),
@@ -815,6 +882,11 @@ def test_arguments_of_another_kind(shared_path):
         (lambda: next(march(until=lambda: None)), r"until\(\) = None: must return True or False"),
         (lambda: march(prescribed, lambda x: x[1]), r"interpolate does not take it .* returns \(2, n\) values"),
         (lambda: dynamics.march(moving, to=1.0, ledger=0), "ledger: int is no Ledger"),
+        (lambda: dynamics.march(damped, to=1.0, tolerance=1e-3), "tolerance = 0.001 with theta = 1"),
+        (
+            lambda: ContactProblem([law.virtual_work(u)], [u], jacobian=[None, None]),
+            "jacobian: 2 forms for 1 displacements",
+        ),
         (
             lambda: NewtonSolver(problem, prefix="-contact_"),
             "prefix = '-contact_': of PETSc's options without their dash",

@@ -249,6 +249,21 @@ def test_a_march_in_time_ends_at_an_event(capfd):
     assert (f"time {last.time:.6g} s" in shown) == (problem.comm.rank == 0)
 
 
+def test_a_finished_march_that_is_resumed_is_empty():
+    """As one of stages is: what a run does next is done."""
+    problem, P = beams(order=1)
+    list(quasistatic.march(problem, P, to=1.0, increments=1))
+    assert list(quasistatic.march(problem, P, to=1.0, increments=1, start=1.0)) == []
+    assert [step.load for step in quasistatic.march(problem, P, to=2.0, increments=2, start=1.0)] == [1.5, 2.0]
+
+
+def test_a_path_that_begins_without_contact_is_not_said_to_have_none():
+    """The first step alone is none of the whole path."""
+    problem, P = beams(order=1, mesh={"gap": 0.01})
+    first, *_ = quasistatic.follow(problem, P, first=0.01, length=0.01, steps=1)
+    assert not first.findings and problem.pairs[0].closed_fraction() >= 0.0
+
+
 def test_arguments_are_checked_at_the_call():
     problem, _ = flight()
     block = Block()
