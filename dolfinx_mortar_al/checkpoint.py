@@ -13,7 +13,6 @@ import contextlib
 import json
 import os
 import uuid
-import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.fingerprint import differences, fingerprint
 from dolfinx_mortar_al.ledger import Ledger
+from dolfinx_mortar_al.monitors import warn
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot, check_problem
 from dolfinx_mortar_al.ranks import on_root, together
 from dolfinx_mortar_al.validation import number, path_of
@@ -197,11 +197,10 @@ class Checkpoint:
 
     def _warn(self, at: float) -> None:
         if self._problem.comm.rank == 0:
-            warnings.warn(
+            warn(
                 f"{self._directory}: the last checkpoint is damaged or was not finished; the run goes on from the one "
                 f"before, at {at:.6g}",
                 UserWarning,
-                stacklevel=3,
             )
 
     # ---------------------------------------------------------------- arrays

@@ -7,7 +7,6 @@ points (`integration`), their kinematics (`kinematics`), the law (`law`), the ac
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -25,7 +24,7 @@ from dolfinx_mortar_al.cut_tangent import CutTangent, tangent_of_cuts
 from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, degrees_on, segment_degree
 from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
 from dolfinx_mortar_al.law import OPEN, SLIP, Augmentation, Coulomb, Frictionless, LawState, augmented_normal
-from dolfinx_mortar_al.monitors import Finding, ModelWarning
+from dolfinx_mortar_al.monitors import Finding, warn
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.pair_findings import PairFindings
@@ -453,11 +452,9 @@ class ContactPair(PairFindings):
     def _doubt(self, μ: float) -> None:
         """Say once of a coefficient that it is more than that of any surfaces, on rank 0."""
         if μ > ROUGHEST and not self._doubted and self.comm.rank == 0:
-            warnings.warn(
+            warn(
                 f"{self.name}: friction = {μ:g}: of steel it is 0.1 to 0.8, rubber reaches 4; 30 % are written 0.3, an angle "
                 "of friction φ is np.tan(φ). The march goes on with it, and next to nothing will slide",
-                ModelWarning,
-                stacklevel=2,
             )
         self._doubted |= μ > ROUGHEST
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.monitors import ModelWarning
+from dolfinx_mortar_al.monitors import warn
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.reductions import any_over
 from dolfinx_mortar_al.targets import RigidTarget
@@ -52,14 +51,12 @@ class LoadWatch:
         changed = not np.array_equal(self._before, self._state(), equal_nan=True)
         self._felt = any_over(self._problem.comm, changed)
         if self._at_once:
-            self.report(7)
+            self.report()
 
-    def report(self, stacklevel: int = 6) -> None:
-        """Warn, on rank 0, if no setting of the load has changed anything; the march's caller is that many calls away."""
+    def report(self) -> None:
+        """Warn, on rank 0, if no setting of the load has changed anything."""
         if not self._felt and self._problem.comm.rank == 0:
-            warnings.warn(
-                "load: setting it changes neither the residual nor a prescribed value: does the form have another Constant?",
-                ModelWarning,
-                stacklevel=stacklevel,
+            warn(
+                "load: setting it changes neither the residual nor a prescribed value: does the form have another Constant?"
             )
         self._felt = True

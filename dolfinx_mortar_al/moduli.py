@@ -12,8 +12,6 @@ give G and λ, and E' = 4 G (1 − G/M).
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 from dolfinx import fem
 from dolfinx.la import InsertMode
@@ -21,7 +19,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from dolfinx_mortar_al.monitors import ModelWarning
+from dolfinx_mortar_al.monitors import warn
 
 __all__ = ["doubt_order", "yielding_share"]
 
@@ -88,11 +86,9 @@ def doubt_order(share: fem.Function, name: str) -> None:
     r = (1 - np.sqrt(1 - min(least, 1.0))) / 2  # G/M, ν = (1 − 2 r)/(2 − 2 r)
     ν = (1 - 2 * r) / (2 - 2 * r)
     if ν >= LOCKS and V.mesh.comm.rank == 0:
-        warnings.warn(
+        warn(
             f"{name} is of order 1 in a nearly incompressible body (ν = {ν:.4g}): its cells lock, and are far too stiff "
-            "but on very fine meshes; take a displacement of order 2",
-            ModelWarning,
-            stacklevel=5,  # who makes the problem
+            "but on very fine meshes; take a displacement of order 2"
         )
 
 

@@ -7,6 +7,8 @@ place, and goes on or stops.
 from __future__ import annotations
 
 import logging
+import os
+import sys
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,9 +24,20 @@ from dolfinx_mortar_al.materials import Hyperelastic, deformation_gradient
 from dolfinx_mortar_al.membrane import NeoHookeanMembrane
 from dolfinx_mortar_al.validation import check_law, number
 
-__all__ = ["Finding", "ModelWarning", "Monitor", "Reporter", "ellipticity", "inversion", "show_warnings", "wrinkling"]
+__all__ = [
+    "Finding",
+    "ModelWarning",
+    "Monitor",
+    "Reporter",
+    "ellipticity",
+    "inversion",
+    "show_warnings",
+    "warn",
+    "wrinkling",
+]
 
 
+HERE = os.path.join(os.path.dirname(__file__), "")
 AGAIN = 10.0  # times what has been said of a finding: it is said again
 
 
@@ -48,6 +61,14 @@ class ModelWarning(UserWarning):
     """A converged state is outside of what the model can show."""
 
 
+def warn(message: str, category: type[UserWarning] = ModelWarning) -> None:
+    """Warn at the line outside of this package that has led here."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(HERE):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, category, stacklevel=level)
+
+
 def show_warnings() -> None:
     """Let Python print warnings: ffcx hands them to a logger without handlers, where nobody sees them. Where the program has
     set up logging of its own, they go there."""
@@ -64,15 +85,15 @@ class Reporter:
     def __init__(self, rank: int) -> None:
         self._rank, self._reported = rank, {}  # type: int, dict[str, float]
 
-    def report(self, findings: Iterable[Finding], when: str, stacklevel: int) -> None:
-        """Findings of the step at `when` (a load or time, in words); `stacklevel` leads to who asked for the step."""
+    def report(self, findings: Iterable[Finding], when: str) -> None:
+        """Findings of the step at `when` (a load or time, in words)."""
         for finding in findings:
             said = self._reported.get(finding.name)
             if said is not None and not abs(finding.value) > AGAIN * abs(said):
                 continue
             self._reported[finding.name] = finding.value
             if self._rank == 0:
-                warnings.warn(f"at {when}: {finding}", ModelWarning, stacklevel=stacklevel)
+                warn(f"at {when}: {finding}")
 
 
 class Monitor:

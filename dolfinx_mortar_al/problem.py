@@ -203,7 +203,7 @@ class ContactProblem:
         for pair in self.pairs:
             pair.check_behind()
         found = [finding for pair in self.pairs if (finding := pair.overlap_at_start()) is not None]
-        Reporter(self.comm.rank).report(found, "the start", stacklevel=3)
+        Reporter(self.comm.rank).report(found, "the start")
         #: whether matrices get room for facets near contact and their neighbours in space, too: fill for factors
         self.spare_pattern = False
         #: what solves the linear systems, in words if made a text; set by the Newton solver

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import floor
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al import stepping, validation
 from dolfinx_mortar_al.load import Load, Movable, pace
 from dolfinx_mortar_al.load_watch import LoadWatch
-from dolfinx_mortar_al.monitors import Finding, ModelWarning, Reporter
+from dolfinx_mortar_al.monitors import Finding, Reporter, warn
 from dolfinx_mortar_al.newton import NO_PROGRESS, NewtonResult, NewtonSolver, Path
 from dolfinx_mortar_al.pair_findings import PUSHED
 from dolfinx_mortar_al.predictor import Predictor
@@ -133,7 +132,7 @@ def equilibrate(problem: ContactProblem, *, solver: NewtonSolver | None = None) 
         raise StepFailure(f"no convergence in the loads as they stand: {attempt.message}")
     problem.loads.note(None)
     problem.commit()
-    Reporter(problem.comm.rank).report(attempt.findings, "the loads as they stand", stacklevel=3)
+    Reporter(problem.comm.rank).report(attempt.findings, "the loads as they stand")
     return Step(
         iterations=attempt.newton.iterations,
         wall_time=perf_counter() - clock,
@@ -450,7 +449,7 @@ class _LoadControl(Controller[Step]):
         legs = [leg for leg in self._legs[self.leg :] if isinstance(leg.load.source, fem.Constant | fem.Function)]
         for doubt in self._doubts(legs, VERY_FAR):
             if self.problem.comm.rank == 0:
-                warnings.warn(doubt, ModelWarning, stacklevel=6)  # the march's caller
+                warn(doubt)
 
     def _words(self, leg: _Leg, x: float) -> str:
         stage = f" of stage {self.leg + 1}" if len(self._legs) > 1 else ""

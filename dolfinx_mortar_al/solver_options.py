@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import ctypes
 import sys
-import warnings
 from collections.abc import Mapping
 from types import TracebackType
 
 from petsc4py import PETSc
 
-from dolfinx_mortar_al.monitors import ModelWarning
+from dolfinx_mortar_al.monitors import warn
 
 __all__ = ["SolverOptions"]
 
@@ -80,11 +79,9 @@ class SolverOptions:
         unread = [name for name in asked if not name.startswith(later) and not self._is_read(name)]
         if unread:
             listed = ", ".join(f"-{self.prefix}{name} {asked[name]}".rstrip() for name in unread)
-            warnings.warn(
+            warn(
                 f"PETSc options that no part of this solver reads: {listed}; are they misspelt, or of a solver that is not "
                 "in use here?",
-                ModelWarning,
-                stacklevel=2,
             )
 
     def _is_read(self, name: str) -> bool:

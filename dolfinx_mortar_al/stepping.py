@@ -7,7 +7,6 @@ What moves is a controller's: the load (`quasistatic.march`), the load along the
 from __future__ import annotations
 
 import sys
-import warnings
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator
@@ -19,7 +18,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from mpi4py import MPI
 
-from dolfinx_mortar_al.monitors import Finding, ModelWarning, Reporter
+from dolfinx_mortar_al.monitors import Finding, Reporter, warn
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.ranks import agreed
@@ -188,7 +187,7 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
         if control.leg != leg:
             size, leg, closing_in = 1.0, control.leg, False
         bar.show(control.at(), control.share, step)
-        reporter.report(step.findings, control.at(), stacklevel=5)  # the march's caller
+        reporter.report(step.findings, control.at())
         yield step
         iterations, reasons, clock, relaxed = 0, [], perf_counter(), False
 
@@ -226,10 +225,8 @@ class March(Generator[S, None, None]):
 
     def __del__(self) -> None:
         if not self._asked and not sys.is_finalizing():
-            warnings.warn(
+            warn(
                 "march: none of its steps was asked for, so that nothing was solved: write for step in march(…)",
-                ModelWarning,
-                stacklevel=2,
             )
 
 

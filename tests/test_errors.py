@@ -300,9 +300,23 @@ def test_a_finding_is_said_again_when_it_has_grown_tenfold():
     for value in (1e-3, 2e-3, 9e-3, 2e-2, 1e-3, 0.1):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            reporter.report([Finding("slide", value, (), "", False)], "load 1", stacklevel=2)
+            reporter.report([Finding("slide", value, (), "", False)], "load 1")
         said += [value] * len(caught)
     assert said == [1e-3, 2e-2]
+
+
+@pytest.mark.one_rank
+def test_a_warning_points_at_the_users_line():
+    """However many calls of the package are between."""
+    problem, P = beams(order=1, mesh={"gap": 0.05})
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        next(quasistatic.march(problem, P, to=1e-3, increments=1))
+        next(quasistatic.march(problem, fem.Constant(problem.u.function_space.mesh, 0.0), to=1.0, increments=1))
+        quasistatic.march(problem, P, to=1.0, increments=1)
+    assert [w.filename for w in caught] == [__file__] * 4
+    said = ["least gap", "setting it changes neither", "least gap", "none of its steps"]
+    assert all(words in str(w.message) for words, w in zip(said, caught, strict=True))
 
 
 def test_what_had_converged_stays_on_disk(shared_path):
