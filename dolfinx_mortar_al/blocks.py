@@ -7,7 +7,6 @@ follow each other on the same facets share an element matrix.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -75,6 +74,7 @@ class Blocks:
         self.left_out_at_corners: Bool | None = None
         # (nf, nodes × components, nodes × components) what may hold the multiplier smooth, None where nothing does
         self._smoothing: Array | None = None
+        self._gradients: Array | None = None
         #: whether both are to stay as they are, whatever opens or closes
         self.holds_facets = False
         #: (nf,) how much of it counts
@@ -94,6 +94,13 @@ class Blocks:
         self._along: Array | None = None
         self.turn(None)
 
+    def renew(self) -> None:
+        """The multiplier's nodes that count are others now."""
+        self.take(self.points)
+        self._gradients = None
+        if self._smoothing is not None:
+            self.hold_smooth(self._κ, self._width)
+
     def turn(self, ν: Array | None) -> None:
         """Let the multiplier's normal part be that along ν (n, gdim), or take its components in global axes (collective)."""
         known = ν is not None and self._along is not None and bool(np.array_equal(ν, self._along))
@@ -109,13 +116,12 @@ class Blocks:
         """Whether anything may hold the multiplier smooth."""
         return self._smoothing is not None
 
-    @cached_property
-    def _gradients(self) -> Array:
-        return products_of_gradients(self._gauss, self.multiplier)
-
     def hold_smooth(self, κ: Array, width: ZoneWidth) -> None:
         """Add ∫ κ ∇Λ·∇δΛ dS₀ to eq. (4), κ (nf,) in m³/Pa, on closed facets amid a zone that is wide enough."""
-        self._smoothing, self._width = κ[:, None, None] * self._gradients, width
+        if self._gradients is None:
+            self._gradients = products_of_gradients(self._gauss, self.multiplier)
+        self._κ, self._width = κ, width
+        self._smoothing = κ[:, None, None] * self._gradients
 
     def leave_rough(self) -> None:
         """Add nothing of the kind."""

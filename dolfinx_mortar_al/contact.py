@@ -206,8 +206,10 @@ class ContactPair(PairFindings):
         self.contactor_blocks: Index = bodies.nodes(k, self.facets.dofs)
         own = self.facets.space.dofmap.index_map.local_to_global(self.facets.dofs.ravel())
         self._at_end = np.isin(own, contactor.blocks[contactor.end_nodes]).reshape(self.facets.dofs.shape)
-        fixed = self._at_nodes(self._body1.prescribed()) > 0
-        redundant = self._redundant(fixed)
+        # (nf, nodes, gdim) which components are prescribed
+        self._fixed: Bool = self._at_nodes(self._body1.prescribed()) > 0
+        self._may_be_redundant = any_over(self.comm, self._fixed.any())
+        redundant = self._redundant(self.facets.X)
         #: (nf,) facets whose motion relative to the target is prescribed altogether
         self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))
         surface = contact.target if isinstance(contact.target, Surface) else None
@@ -217,7 +219,7 @@ class ContactPair(PairFindings):
         corners = None
         if not self.target.is_contactor:  # at a crease the roles decide, and with equal orders both sides count
             corners = SharpCorners.of(self.facets, contactor, self.multiplier.own, self.comm)
-        self.blocks = Blocks(self.integration, self.contactor_blocks, fixed, self.target, self.multiplier, corners)
+        self.blocks = Blocks(self.integration, self.contactor_blocks, self._fixed, self.target, self.multiplier, corners)
         self.active = ActiveSet(self.blocks, self.comm)
         self.is_pressed_hard = False
         self.target_end = self._make_end()
@@ -318,18 +320,32 @@ class ContactPair(PairFindings):
                 f"the node at X = ({X}): the bodies are joined there; give each its own nodes, or leave its facets out"
             )
 
-    def _redundant(self, fixed: Bool) -> Bool:
+    def _redundant(self, contactor: Array, place: Array | None = None) -> Bool:
         """(nf, nodes, components) where the relative displacement is prescribed, so that the multiplier has nothing to
-        enforce: on the contactor and, if the target is deformable and faced nearby, on the target too."""
-        fixed = fixed.copy()
+        enforce: on the contactor and, if the target is deformable, where that is opposite. `contactor` (nf, nodes, gdim) and
+        `place` (nodes, gdim): nodes of both (m), the target's by default undeformed."""
+        fixed = self._fixed.copy()
         facet, node = np.nonzero(fixed.any(axis=2))
         if isinstance(self.target, DeformableTarget) and len(facet):
             points = IntegrationPoints(self.facets, facet, self.facets.shape.nodes[node], np.ones(len(facet)), 1.0)
-            at, near = self.target.opposite(contactor_points(points, self.facets.X))
+            nodes = self.target.surface.X if place is None else place
+            at = self.target.opposite(contactor_points(points, contactor), nodes)
             on_target = self.target.fixed[self.target.facets[at.facet]]
             given = np.einsum("nk,nki->ni", np.abs(self.target.weights(at)), on_target) > 1 - 1e-6
-            fixed[facet, node] &= near[:, None] & given
+            fixed[facet, node] &= given
         return fixed if self.friction else np.asarray(fixed.all(axis=2, keepdims=True))
+
+    def _leave_out_redundant(self) -> None:
+        """In statics, let go of the multiplier's nodes that have nothing to enforce where the bodies were in the last
+        equilibrium, and take those up that have (collective). Time steps need one space of multipliers."""
+        place = self._converged.place
+        if not self._may_be_redundant or isinstance(self.kinematics, StepLevel) or not isinstance(place, np.ndarray):
+            return
+        redundant = self._redundant(self._converged.nodes, place)
+        if self.multiplier.leave_out(redundant):
+            self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))
+            self.blocks.renew()
+            self._read_multiplier()
 
     def nodal_values(self, u: fem.Function) -> Array:
         """(n, gdim) values of a Function of one of the bodies at those of its nodes that the pair's forces act on: of this
@@ -542,6 +558,7 @@ class ContactPair(PairFindings):
         if isinstance(self.law, Coulomb):
             self.law = replace(self.law, μ=self.friction_coefficient)
             self._doubt(self.law.μ)
+        self._leave_out_redundant()
         self._hold_flat()
         self.blocks.holds_facets = False
         self._hold_shares(False)
@@ -819,6 +836,7 @@ class ContactPair(PairFindings):
             self.kinematics.excuse(*self._decided())
         self._remember()
         self._committed_at = self._converged.nodes
+        self.multiplier.extend()
         self._end_solve()
         self.active.guessed = False
 
@@ -879,6 +897,7 @@ class ContactPair(PairFindings):
         self._converged = Converged(saved["nodes"].copy(), place, *was)
         self.target.refresh()
         λN_hat = self._restore_at_points(saved)
+        self._leave_out_redundant()
         self._end_solve()
         self.kinematics.evaluate()
         self.active.expect(λN_hat, self.kinematics, self.epsilon.normal)

@@ -5,7 +5,8 @@ contactor is the stiffer side (``docs/theory.md``).
 
 Where the displacement is prescribed on both sides (the common clamp of section 4.1, a symmetry plane) the gap is given and
 the multiplier's node has nothing to enforce: kept, it would make the system singular. There the field is extrapolated
-from the facet's other nodes (one order lower across the facet), component by component.
+from the facet's other nodes (one order lower across the facet), component by component. Bodies that slide may come to such
+places, or leave them: which nodes these are is chosen before each solve.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dolfinx import fem
 from dolfinx.la import InsertMode
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.reductions import any_over
 from dolfinx_mortar_al.surface import Facets, ShapeFunctions
 from dolfinx_mortar_al.versions import submesh
 
@@ -61,6 +63,7 @@ class MultiplierSpace:
         dofs: (nf, nodes) local block dofs, in the order of `shape`'s nodes; blocks: the same, global.
         components: 1 (λ_N) or gdim (Λ).
         redundant: (nf, nodes, components) nodes whose value is extrapolated.
+        idle: global dofs (not blocks) owned by this rank whose value is extrapolated, whatever the system holds there.
         T: (nf, components, nodes, nodes) extrapolation of each facet.
     """
 
@@ -73,8 +76,8 @@ class MultiplierSpace:
         self.field = fem.Function(V, name="multiplier")
         self.own = _own_nodes(self.shape, facets.shape)
         self.blocks = V.dofmap.index_map.local_to_global(self.dofs.ravel()).reshape(self.dofs.shape)
-        self._mark(redundant[:, self.own])
-        self.T = self._extrapolations(self.shape)
+        self._flags: Bool = np.zeros((0, components), dtype=bool)
+        self.leave_out(redundant)
 
     def lagrange(self, order: int, components: int) -> tuple[fem.FunctionSpace, NDArray[np.int32]]:
         """A Lagrange space on the facets' own mesh, of order 1 or that of the displacement, and its (nf, nodes) local
@@ -83,20 +86,34 @@ class MultiplierSpace:
         own = _own_nodes(ShapeFunctions(self._facets.shape.cell, order), self._facets.shape)
         return V, _match(V, self._facets, own, self._entities)
 
-    def _mark(self, redundant: Bool) -> None:
-        """A node is redundant on every rank and facet that has it, or on none."""
+    def leave_out(self, redundant: Bool) -> bool:
+        """Extrapolate nodes that are redundant (nf, displacement's nodes, components), and no others: one is on every rank
+        and facet that has it, or on none. Whether that is a change (collective)."""
         V = self.field.function_space
         flag = fem.Function(V)
         values = flag.x.array.reshape(-1, self.components)
-        np.maximum.at(values, self.dofs, redundant.astype(float))
+        np.maximum.at(values, self.dofs, redundant[:, self.own].astype(float))
         flag.x.scatter_reverse(InsertMode.add)
         flag.x.scatter_forward()
         flags = flag.x.array.reshape(-1, self.components) > 0
+        if not any_over(self.submesh.comm, not np.array_equal(flags, self._flags)):
+            return False
+        self._flags = flags
         self.redundant = flags[self.dofs]
         owned = V.dofmap.index_map.size_local
         start = V.dofmap.index_map.local_range[0] * self.components
-        #: global dofs (not blocks) owned by this rank whose value is extrapolated: the system holds 0 there
         self.idle = (np.flatnonzero(flags[:owned].ravel()) + start).astype(np.int32)
+        self._extrapolates = any_over(self.submesh.comm, flags.any())
+        self.T = self._extrapolations(self.shape)
+        return True
+
+    def extend(self) -> None:
+        """Give redundant nodes the mean of what their facets have there, should they be others in the next solve
+        (collective)."""
+        if not self._extrapolates:
+            return
+        total, count = self.sum_over_facets(self.nodal()), self.sum_over_facets(np.ones(self.redundant.shape))
+        self.field.x.array.reshape(-1, self.components)[self.dofs] = total / count
 
     def touched(self, facets: Bool) -> Bool:
         """(nf, nodes) whether some of the given facets (nf,), on any rank, has the node (collective)."""
@@ -111,8 +128,10 @@ class MultiplierSpace:
     def _extrapolations(self, shape: ShapeFunctions) -> Array:
         n = shape.nodes.shape[0]
         T = np.broadcast_to(np.eye(n), (len(self.dofs), self.components, n, n)).copy()
-        for f, i in zip(*np.nonzero(self.redundant.any(axis=1)), strict=True):  # few, and only at set-up
-            T[f, i] = extrapolation(shape, ~self.redundant[f, :, i])
+        facet, component = np.nonzero(self.redundant.any(axis=1))
+        patterns, which = np.unique(self.redundant[facet, :, component], axis=0, return_inverse=True)
+        if len(patterns):
+            T[facet, component] = np.stack([extrapolation(shape, ~pattern) for pattern in patterns])[which.ravel()]
         return T
 
     def at(self, facet: NDArray[np.int64], η: Array) -> Array:
@@ -133,7 +152,7 @@ class MultiplierSpace:
         return self.field.function_space.dofmap.index_map.size_global * self.components
 
     def own_nodal(self) -> Array:
-        """(nf, nodes, components) the unknowns of each facet, as they stand (0 at redundant nodes)."""
+        """(nf, nodes, components) the unknowns of each facet, as they stand; what redundant nodes have does not count."""
         return self.field.x.array.reshape(-1, self.components)[self.dofs]
 
     def nodal(self) -> Array:

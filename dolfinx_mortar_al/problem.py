@@ -356,8 +356,8 @@ class ContactProblem:
                 for element in elements:
                     insert(entries, *element)
                 if i == j == k:
-                    idle = pair.multiplier.idle
-                    entries.setValuesRCV(idle[:, None], idle[:, None], np.zeros((len(idle), 1, 1)), _ADD)
+                    own = np.arange(*entries.getOwnershipRange(), dtype=np.int32)[:, None]  # any of them may be idle
+                    entries.setValuesRCV(own, own, np.zeros((len(own), 1, 1)), _ADD)
                 entries.assemble()
                 # into the new matrix: a preconditioner may still work with the old one
                 if i == j == 0:

@@ -201,10 +201,10 @@ class DeformableTarget(Target):
         """Which hits of the points' rays (m,) count; None for those that closest points confirm where they are deep."""
         return None
 
-    def opposite(self, points: ContactorPoints) -> tuple[TargetPoint, NDArray[np.bool_]]:
-        """What undeformed contactor points face on the undeformed target, and (n,) whether it is near enough to count."""
-        at = self.at_reference(points.x)
-        return at.point, np.linalg.norm(points.x - at.y, axis=1) <= self.size
+    def opposite(self, points: ContactorPoints, nodes: Array) -> TargetPoint:
+        """What contactor points face, or would face, of the target with its nodes at `nodes` (nodes, gdim) in metres, however
+        far away."""
+        return self._closest(points.x, nodes).point
 
     def faced(self, points: ContactorPoints, nodes: Array) -> tuple[TargetPoint, NDArray[np.bool_]]:
         couples = ray_candidates(points.x, points.normal, nodes[self.facets], 0.0)[:2]

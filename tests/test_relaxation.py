@@ -131,7 +131,7 @@ def test_bodies_that_contact_alone_holds_are_let_go_too():
     """A short column that sticks between its planes, where no step gets through: it is let go as one on supports."""
     (problem, press), (other, same) = column(2.0, [2, 4]), column(2.0, [2, 4])
     list(quasistatic.march(problem, press, to=0.05, increments=1))
-    assert problem.is_held
+    assert problem.standing.held
     steps = list(quasistatic.march(problem, press, to=0.1, increments=1, solver=Stuck(problem, rests=True)))
     assert leaps(steps)[0] and steps[-1].load == 0.1
     list(quasistatic.march(other, same, to=0.1, increments=4))

@@ -1,0 +1,78 @@
+"""Symmetry planes and slices: multipliers at nodes that are held on both sides have nothing to enforce there."""
+
+import numpy as np
+import pytest
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic, reaction
+from dolfinx_mortar_al.quasistatic import Stage
+
+DEEP, THICK = 0.02, 0.1  # m
+BOTTOM, TOP = 1, 2
+
+
+def block(low, high, cells, order, held):
+    """A box between the planes z = 0 and z = THICK, which hold it along z where `held` says: (Body's arguments, tags)."""
+    domain = mesh.create_box(MPI.COMM_WORLD, [(*low, 0.0), (*high, THICK)], (*cells, 1), mesh.CellType.hexahedron)
+    faces = [mesh.locate_entities_boundary(domain, 2, lambda x, y=y: np.isclose(x[1], y)) for y in (low[1], high[1])]
+    facets = np.sort(np.concatenate(faces))
+    tags = mesh.meshtags(domain, 2, facets, np.where(np.isin(facets, faces[0]), BOTTOM, TOP).astype(np.int32))
+    V = fem.functionspace(domain, ("Lagrange", order, (3,)))
+    W, _ = V.sub(2).collapse()
+
+    def on_planes(x):
+        return (np.isclose(x[2], 0.0) | np.isclose(x[2], THICK)) & held(x)
+
+    nodes = fem.locate_dofs_geometrical((V.sub(2), W), on_planes)
+    return fem.Function(V), tags, fem.dirichletbc(fem.Function(W), nodes, V.sub(2))
+
+
+def everywhere(x):
+    return np.ones(x.shape[1], dtype=bool)
+
+
+def slice_on_slab(gap, order=1, held=everywhere, **options):
+    """A slice of a block, to be pressed on a slab and dragged: (problem, place of its top, the slab's support)."""
+    u, slab_tags, slab_plane = block((0.0, 0.0), (1.0, 0.5), (4, 2), order, held)
+    v, tags, plane = block((0.1, 0.5 + gap), (0.9, 1.0 + gap), (5, 2), order, everywhere)
+    moved = fem.Constant(v.function_space.mesh, np.zeros(3))
+    supports = []
+    for w, where, value, face in ((u, slab_tags, np.zeros(3), BOTTOM), (v, tags, moved, TOP)):
+        V = w.function_space
+        supports.append(fem.dirichletbc(value, fem.locate_dofs_topological(V, 2, where.find(face)), V))
+    law = materials.neo_hookean(1e6, 0.3)
+    bodies = [Body(u, law, bcs=[supports[0], slab_plane]), Body(v, law, bcs=[supports[1], plane])]
+    sides = Surface(v.function_space.mesh, tags, BOTTOM), Surface(u.function_space.mesh, slab_tags, TOP)
+    return ContactProblem(bodies, contacts=[Contact(*sides, friction=0.3, **options)]), moved, supports[0]
+
+
+@pytest.mark.parametrize("order, integration", [(1, "gauss"), (1, "segments"), (2, "gauss")])
+def test_a_slice_presses_as_much_from_any_distance(order, integration):
+    """With a gap of more than a facet the nodes on the planes were kept, and stuck points had any force along z: 536 N of
+    2069, and a drag of 513 iterations.."""
+    found = []
+    for gap in (0.0, 0.3):
+        problem, top, support = slice_on_slab(gap, order, integration=integration)
+        press, drag = ((x, -gap - DEEP, 0.0) for x in (0.0, DEEP))
+        steps = list(quasistatic.march(problem, [Stage(top, press, 2), Stage(top, drag, 2)]))
+        force = problem.pairs[0].force()
+        assert abs(force[2]) < 1e-4 * force[1]
+        assert sum(step.iterations for step in steps) <= 8 and not any(step.rejected for step in steps)
+        found.append(reaction(problem, support).force[:2])
+    assert np.allclose(*found, rtol=1e-2)  # the way to the first touch is told from the increment before
+
+
+def test_a_slice_slides_onto_what_is_held():
+    """The slab is held along z in its right half alone: the block's nodes have a multiplier along z on the left, and none on
+    the right, and have one again on the way back."""
+    problem, top, _ = slice_on_slab(0.0, held=lambda x: x[0] > 0.45)
+    (pair,) = problem.pairs
+    idle, forces = [], []
+    stages = [Stage(top, (x, -DEEP, 0.0), 4) for x in (-0.4, 0.0, -0.4)]
+    for step in quasistatic.march(problem, stages):
+        idle.append(problem.comm.allreduce(len(pair.multiplier.idle)))
+        forces.append(pair.force())
+        assert step.iterations <= 12 and step.rejected == 0
+    assert idle[3] < idle[7] and idle[11] == idle[3]
+    assert np.abs(np.array(forces)[:, 2]).max() < 1e-3 * np.array(forces)[:, 1].max()
