@@ -31,6 +31,7 @@ sys.path.append(str(ROOT))
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, membrane, multiplier, output, quasistatic
 from dolfinx_mortar_al.contact import SOFTER, ContactPair
 from dolfinx_mortar_al.integration import IntegrationPoints
+from dolfinx_mortar_al.surface import GatheredFacets
 from dolfinx_mortar_al.versions import geometry_nodes
 from exact.two_membranes import MembraneState
 from exact.two_membranes import TwoMembranes as Exact
@@ -40,7 +41,7 @@ PRESSURE, STEPS, SHIFT = 4023.0, 20, 1.0
 PIECES, DEGREE = 12, 5  # of each facet, and on each
 
 
-def pieces(pair: ContactPair, extent: float) -> IntegrationPoints:
+def pieces(pair: ContactPair, contactor: GatheredFacets) -> IntegrationPoints:
     """Points that know the edge of contact to a fiftieth of a facet."""
     ξ, weight = pair.facets.shape.quadrature(DEGREE)
     η = np.concatenate([(k + ξ) / PIECES for k in range(PIECES)])

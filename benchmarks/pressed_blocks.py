@@ -61,8 +61,8 @@ def main() -> None:
     rng = np.random.default_rng(options.seed)
     integration, dim = "segments" if options.segments else "gauss", 3 if options.space else 2
     failed = iterations = rejected = steps = 0
-    print("| facets | cells | μ | ν | p/E | increments | iterations | rejected | p at nodes off by | at points |")
-    print("|" + "---|" * 10)
+    print("| facets | cells | μ | ν | p/E | increments | iterations | rejected | p off by, at any point |")
+    print("|" + "---|" * 9)
     for _ in range(options.draws):
         facets = tuple(int(n) for n in rng.integers(*((3, 7) if options.space else (8, 51)), 2))
         simplices, μ, ν = bool(rng.integers(2)), float(rng.choice([0.0, 0.1, 0.3, 0.8])), float(rng.uniform(0.1, 0.495))
@@ -73,9 +73,9 @@ def main() -> None:
         try:
             taken.extend(quasistatic.march(problem, load, to=p, increments=increments))
             fields = problem.pairs[0].fields()
-            end = f" {abs(fields.pressure / p - 1).max():.1e} | {problem.pairs[0].largest_pressure() / p - 1:.1e} |"
+            end = f" {abs(fields.pressure / p - 1).max():.1e} |"
         except quasistatic.StepFailure:
-            failed, end = failed + 1, " failed | |"
+            failed, end = failed + 1, " failed |"
         n, r = sum(step.iterations for step in taken), sum(step.rejected for step in taken)
         iterations, rejected, steps = iterations + n, rejected + r, steps + len(taken)
         print(f"{row} {n} | {r} |{end}", flush=True)

@@ -1,1 +1,1 @@
-"""The paper's four simulations."""
+"""The paper's four simulations and others, as documents to read and run."""

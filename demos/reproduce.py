@@ -5,7 +5,7 @@ what is through is kept, so that an interrupted run goes on where it was, and th
 
     ./run python3 demos/reproduce.py              # the paper's scenes as the paper has them
     ./run python3 demos/reproduce.py --quick      # coarser, in a few minutes
-    ./run python3 demos/reproduce.py --full --keep docs/full_run    # and every benchmark: two hours, unattended
+    ./run python3 demos/reproduce.py --full --keep docs/full_run    # and every benchmark: some three hours, unattended
     ./run python3 demos/reproduce.py --quick --ranks 2 --against results/reproduce/quick   # the same numbers on two ranks?
 
 The page is report.html in results/reproduce/ (quick/, paper/, or their ranks_2/ …); it needs nothing beside it.
@@ -15,6 +15,7 @@ import argparse
 import json
 import platform
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -69,7 +70,9 @@ TASKS = [
 def run(task: Task, args: argparse.Namespace) -> dict:
     """Run a command to its end: the command as said, seconds, exit status, what it printed."""
     more = task.quick if args.quick and task.quick else ""
-    words = [sys.executable, *shlex.split(f"{task.command.format(folder=args.output)} {more}")]
+    if args.again:  # or a demo's checkpoint would say that all is done
+        shutil.rmtree(args.output / task.name, ignore_errors=True)
+    words = [sys.executable, *shlex.split(f"{task.command.format(folder=shlex.quote(str(args.output)))} {more}")]
     if args.ranks > 1 and task.quick is not None:
         words = ["mpirun", "-n", str(args.ranks), *words]
     start = time.perf_counter()

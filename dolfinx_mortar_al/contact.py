@@ -219,7 +219,9 @@ class ContactPair(PairFindings):
         corners = None
         if not self.target.is_contactor:  # at a crease the roles decide, and with equal orders both sides count
             corners = SharpCorners.of(self.facets, contactor, self.multiplier.own, self.comm)
-        self.blocks = Blocks(self.integration, self.contactor_blocks, self._fixed, self.target, self.multiplier, corners)
+        self.blocks = Blocks(
+            self.integration, self.contactor_blocks, self._fixed, self.target, self.multiplier, corners
+        )
         self.active = ActiveSet(self.blocks, self.comm)
         self.is_pressed_hard = False
         self.target_end = self._make_end()

@@ -21,7 +21,7 @@ CLAMP, LOWER_TOP, UPPER_BOTTOM, TIP = 11, 12, 13, 14  # facets
 
 @dataclass(frozen=True)
 class TwoBeams:
-    """Sizes in metres; `cells` counts elements along the length (lower, upper), over the height and over the width.
+    """Sizes in metres; `along` (lower, upper), `across` and `through` count elements along length, height and width.
 
     The interface is at y = 0 and the clamped ends at x = 0. With `gap` the upper beam starts that far above (or, negative,
     inside) the lower one.

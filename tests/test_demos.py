@@ -53,7 +53,7 @@ def test_two_beams_reach_the_known_deflection(monkeypatch, shared_path):
 
 
 def test_two_beams_with_friction(monkeypatch, shared_path):
-    """μ = 0.3: sliding all over, less deflection than without friction (regression to 1e-6, seen with 1 to 20 steps)."""
+    """μ = 0.3: sliding all over, less deflection than without friction (a regression; of 1 to 20 steps)."""
     history, *_ = run(monkeypatch, shared_path, "--friction", "0.3", "--increments", "2", "--load", "10")
     assert history.column("tip_uy")[-1] == pytest.approx(-0.5802, abs=4e-4)
 

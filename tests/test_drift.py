@@ -65,7 +65,7 @@ def test_nothing_where_books_close(options):
 
 
 def test_a_driven_side_gives_energy():
-    """The work of a prescribed displacement that moves is in no book; that is no drift."""
+    """The work of a support that moves is in the ledger: no drift."""
     clamp = fem.Constant(mesh.create_unit_square(MPI.COMM_SELF, 1, 1), np.zeros(2))
     problem, motion = block(clamp=clamp)
     assert found(problem, motion, move=lambda t: clamp.value.__setitem__(1, 2 * t)) == set()

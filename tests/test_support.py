@@ -1,5 +1,7 @@
 """What holds a body: contact alone, nothing, an unstable equilibrium; and findings and failures that say so."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 import ufl
@@ -270,7 +272,7 @@ def test_the_unstable_branch_of_a_balloon_is_named():
     problem, p = octant()
     limit = Balloon().limit()[0]
     unstable = {}
-    with pytest.warns(UserWarning, match="this equilibrium is unstable") if problem.comm.rank == 0 else _nothing():
+    with pytest.warns(UserWarning, match="this equilibrium is unstable") if problem.comm.rank == 0 else nullcontext():
         for step in quasistatic.follow(problem, p, first=200.0, length=0.1, steps=9):
             stretch = 1 + output.Probe(problem.u, [0.0, 0.0, 1.0])()[2]
             unstable[stretch] = any("unstable" in finding.meaning for finding in step.findings)
@@ -290,7 +292,7 @@ def test_an_unstable_equilibrium_is_taken_where_no_shorter_step_ends_in_a_stable
         bcs.append(fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, end), V))
     u = fem.Function(V)
     problem = ContactProblem(materials.saint_venant_kirchhoff(1e5, 0.3).virtual_work(u), u, bcs=bcs)
-    with pytest.warns(UserWarning, match="this equilibrium is unstable") if problem.comm.rank == 0 else _nothing():
+    with pytest.warns(UserWarning, match="this equilibrium is unstable") if problem.comm.rank == 0 else nullcontext():
         steps = list(quasistatic.march(problem, moved, to=(-0.5, 0.0), increments=1))
     assert [step.load for step in steps] == [0.5, 0.75, 1.0]
     assert [step.rejected for step in steps] == [1, 1, 0]
@@ -305,18 +307,10 @@ def test_an_unstable_equilibrium_is_named_where_newton_came_nearest(signs, said)
     assert ("unstable equilibrium" in solver._advice()) == said
 
 
-class _nothing:
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        return None
-
-
 def test_points_too_few_for_a_fine_target_are_reported():
     """One point for three target facets is a finding of the step; by default there are two for each."""
     problem, p = blocks(order=1, cells=(16, 2), quadrature_degree=2)
-    with pytest.warns(UserWarning, match="the target is finer") if problem.comm.rank == 0 else _nothing():
+    with pytest.warns(UserWarning, match="the target is finer") if problem.comm.rank == 0 else nullcontext():
         (step,) = quasistatic.march(problem, p, to=2e4, increments=1)
     assert len(step.findings) == 1 and step.findings[0].value < 1.0
     problem, p = blocks(order=1, cells=(16, 2))

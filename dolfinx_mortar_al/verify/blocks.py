@@ -10,7 +10,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from dolfinx_mortar_al import ContactProblem, Surface
+from dolfinx_mortar_al import ContactProblem, Surface, reaction
 from dolfinx_mortar_al.verify.case import Effort, Outcome, Quantity, Run, case
 from dolfinx_mortar_al.verify.meshes import build, grid
 from dolfinx_mortar_al.verify.model import elastic_work, hold, make_contact, march, mean, measures, space, unknowns
@@ -18,7 +18,7 @@ from dolfinx_mortar_al.verify.model import elastic_work, hold, make_contact, mar
 __all__ = ["push"]
 
 HELD, TRACK, SOLE, BACK = 1, 2, 3, 4
-SLOPE, STIFF, NU = 0.1, 1e6, 0.3  # tan α; E over the mean pressure G/2
+SLOPE, STIFF, NU = 0.1, 1e6, 0.3  # tan α; E in G/m², of which the mean pressure is a half
 
 
 def push(μ: float, slope: float = SLOPE) -> float:
@@ -39,8 +39,9 @@ def block_on_track(n: int, α: float, track: float) -> tuple[Any, Any, Any]:
     )
 
 
-def pushed(n: int, μ: float) -> tuple[float, Effort, Any]:
-    """(F/G, effort, (push, F/G) on the way) of a block of weight G = 1 pushed by one of its facets' lengths and more."""
+def pushed(n: int, μ: float) -> tuple[float, Effort, Any, int]:
+    """(F/G, effort, (push, F/G) on the way, unknowns) of a block of weight G = 1 pushed by one of its facets' lengths and
+    more; F is what its back is led with."""
     domain, cells, facets = block_on_track(n, atan(SLOPE), 5.0)
     V, u = space(domain, 2)
     dx, _ = measures(domain, cells, facets)
@@ -54,12 +55,11 @@ def pushed(n: int, μ: float) -> tuple[float, Effort, Any]:
         back.x.array[:] = distance
 
     def look(distance: float) -> None:
-        force = problem.pairs[0].force()
-        path.append((distance, -force[0] / force[1]))
+        path.append((distance, float(reaction(problem, bcs[1]).force[0])))
 
     march(problem, weight, to=1.0, increments=1, effort=effort)
     march(problem, move, to=2.0, increments=8, start=0.0, effort=effort, each=look)
-    return path[-1][1], effort, path
+    return path[-1][1], effort, path, unknowns(u)
 
 
 FRICTIONS = (0.0, 0.1, 0.2, 0.3)
@@ -80,7 +80,7 @@ def incline(quick: bool) -> Outcome:
     for n in (6,) if quick else (6, 12):
         values, total, paths = {}, Effort(), []
         for μ in FRICTIONS:
-            found, effort, path = pushed(n, μ)
+            found, effort, path, count = pushed(n, μ)
             values[f"F/G, μ = {μ}"] = (found, push(μ))
             paths.append((μ, path))
             total = _sum([total, effort])
@@ -92,7 +92,7 @@ def incline(quick: bool) -> Outcome:
             axes.set(xlabel="pushed by (m)", ylabel="F / G")
             axes.legend()
 
-        runs.append(Run(f"{n} facets", 1 / n, values, total, 0, draw))
+        runs.append(Run(f"{n} facets", 1 / n, values, total, count, draw))
     return Outcome(runs)
 
 

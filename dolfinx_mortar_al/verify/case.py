@@ -140,7 +140,7 @@ def rows(done: Case, outcome: Outcome) -> list[Row]:
     for quantity in done.quantities:
         having = [run for run in outcome.runs if quantity.name in run.values]
         if not having:
-            continue
+            raise LookupError(f"{done.name}: no run has the quantity {quantity.name!r}")
         errors = [quantity.error(*run.values[quantity.name]) for run in having]
         order = math.nan
         if len(having) > 1 and quantity.order > 0 and min(errors[-2:]) > ROUND_OFF:

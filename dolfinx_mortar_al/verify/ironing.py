@@ -20,7 +20,7 @@ __all__ = ["PUBLISHED", "Ironing"]
 
 E, NU, MU = 6.896e8, 0.32, 0.3  # Pa; the die has 10 E
 BOTTOM, TOP, SOLE, HEAD = 1, 2, 3, 4
-#: vertical and horizontal force at the end of pressing, and half-way through the drag (1e6 N per mm, as read by solids4foam)
+#: vertical and horizontal force at the end of pressing, and half-way through the drag (N per mm, as read by solids4foam)
 PUBLISHED = {
     "Code_Aster": (332.0, 71.0, 421.0, 143.3),
     "Hartmann et al.": (319.5, 67.2, 408.4, 160.2),
@@ -173,16 +173,16 @@ def ripple(path: np.ndarray) -> float:
     "ironing",
     "Shallow ironing",
     [
-        *(Quantity(name, SPREAD, round(spread(k)[1], 3), "N", order=0) for name, k in QUANTITIES.items()),
-        Quantity("vertical, pressed, Simo and Miehe's law", ASTER, 1e-2, "N"),
-        Quantity("horizontal, pressed, Simo and Miehe's law", ASTER, 1e-2, "N"),
+        *(Quantity(name, SPREAD, round(spread(k)[1], 3), "N/mm", order=0) for name, k in QUANTITIES.items()),
+        Quantity("vertical, pressed, Simo and Miehe's law", ASTER, 1e-2, "N/mm"),
+        Quantity("horizontal, pressed, Simo and Miehe's law", ASTER, 1e-2, "N/mm"),
     ],
 )
 def ironing(quick: bool) -> Outcome:
     """A die (10 E) with a round sole, R = 0.75 mm, is pressed by 1 mm into a slab of 12 mm × 4 mm (E = 689.6 MPa, ν =
     0.32, neo-Hookean, plane strain), μ = 0.3, in 10 steps, and drawn by 5 mm in 50 (Fischer and Wriggers 2006;
     drawing by Yastrebov). Orders 2, 60 × 15 and 12 × 6 cells and finer. Published forces differ by 20 %; the remarks
-    have what each choice is worth. Forces in 1e6 N per mm of thickness.
+    have what each choice is worth. Forces in N per mm of thickness.
     """
     runs = []
     sizes = (0.5,) if quick else (0.5, 1.0)

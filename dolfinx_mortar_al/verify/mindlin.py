@@ -300,7 +300,7 @@ MINDLIN = "Mindlin; half spaces are right to a/R + (a/extent)³ = 0.3 %, his sti
     [
         Quantity("a", MINDLIN + MOMENTS, 1e-2, "m", order=2),
         Quantity("c", MINDLIN + MOMENTS, 1e-2, "m", order=2),
-        Quantity("share of slip in the displacement", MINDLIN, 1e-2, scale=1.0),
+        Quantity("share of slip in the displacement", MINDLIN, 1e-2),
         Quantity("pressure, L2", "Hertz; the edge's cells are h/a = 8 % of the radius", 0.08, scale=1.0),
         Quantity(
             "traction, L2", "Mindlin; the cells at the edge and at c are 2h/a = 15 % of the radius", 0.15, scale=1.0

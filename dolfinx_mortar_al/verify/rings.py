@@ -80,16 +80,16 @@ def solve(n: int, E2: float) -> Run:
     return Run(f"{4 * n}:{3 * n}", 1 / n, values, effort, unknowns(u), draw)
 
 
-LAME = "SSNP152 (code_aster V6.03.152), Lamé's rings; tested there to 0.2 … 0.8 %"
+LAME = "SSNP152 (code_aster V6.03.152), Lamé's rings, exact; of h⁴ in the mean, h³ in L2; tested there to 0.2 … 0.8 %"
 
 
 @case(
     "rings",
     "Nested rings",
     [
-        Quantity(f"{name}: {what}", LAME, 2e-3, unit, scale)
+        Quantity(f"{name}: {what}", LAME, *bound)
         for name in ("equal rings", "inner ring ten times stiffer")
-        for what, unit, scale in (("mean pressure", "Pa", None), ("pressure, L2", "", 1.0))
+        for what, bound in (("mean pressure", (2e-5, "Pa", None, 4.0)), ("pressure, L2", (1e-4, "", 1.0, 3.0)))
     ],
 )
 def rings(quick: bool) -> Outcome:
