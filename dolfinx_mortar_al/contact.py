@@ -574,7 +574,8 @@ class ContactPair(PairFindings):
     def follow_again(self) -> bool:
         """Let points that rest though the target's end has moved follow it once more, AGAIN times in a solve; whether they do
         (collective). Where cuts alone have moved, as those of segments, it does not matter."""
-        if self.segments is None or not self.segments.lags or not self.segments.settles or self._again == 0:
+        segments = self.segments
+        if segments is None or not segments.lags or segments.diverges or not segments.settles or self._again == 0:
             return False
         self._again -= 1
         self.begin_again()

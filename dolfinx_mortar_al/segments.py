@@ -91,6 +91,8 @@ class Segments(ABC):
     def begin(self) -> None:
         """A new solve: points follow closely at first, less and less as they are moved again."""
         self._still, self._last, self.rest, self.lags = self.still, np.inf, False, False
+        # how often in a row points have moved farther than the time before
+        self._growing = 0
 
     def _follows(self, motion: float) -> bool:
         """Whether points follow cuts that have moved so far (in facets)."""
@@ -101,8 +103,16 @@ class Segments(ABC):
             return False
         if motion > self.settles * self._last:
             self._still *= self.growth
+        self._growing = self._growing + 1 if motion > self._last else 0
         self._last = motion
+        if self.diverges and self.settles:
+            self._still = max(self._still, self.growth * motion)
         return True
+
+    @property
+    def diverges(self) -> bool:
+        """Whether to follow the cuts moves them on, farther each time, as edges that lie on each other may be."""
+        return self._growing >= 2
 
     def forget(self) -> None:
         """Make new points next time, whether anything has moved or not."""

@@ -384,6 +384,46 @@ def tube(dim):
     return box, Surface(box, mesh.meshtags(box, 2, inner, np.ones(len(inner), dtype=np.int32)), 1)
 
 
+def clip(x):
+    """The unit box (n, 3) as a U clip: legs 0.4 m long, 0.2 m apart and 0.04 m thick, joined by a half circle; 0.1 m wide."""
+    s, r = x[:, 0] * (0.8 + 0.1 * np.pi), 0.04 * (x[:, 1] - 0.5) + 0.1
+    φ = np.clip((s - 0.4) / 0.1, 0.0, np.pi)
+    leg = np.where(s < 0.4, 0.4 - s, np.maximum(s - 0.4 - 0.1 * np.pi, 0.0))
+    return np.stack([leg - np.sin(φ) * r, -np.cos(φ) * r, 0.1 * x[:, 2]], axis=1)
+
+
+@pytest.mark.one_rank  # what it takes grows from round-off
+def test_legs_with_flush_edges_are_squeezed_shut():
+    """With Gauss points, which end where the other leg does: along the legs, whose edges lie on each other. To follow these
+    moves them apart, farther each time: 20 iterations, and an oblique drag after it took 211 for 15."""
+    box = mesh.create_box(MPI.COMM_WORLD, [(0, 0, 0), (1, 1, 1)], (24, 1, 2), mesh.CellType.hexahedron)
+    box.topology.create_connectivity(2, 3)
+    facets = mesh.exterior_facet_indices(box.topology)
+    middle = mesh.compute_midpoints(box, 2, facets)
+    inside, outside = (np.isclose(middle[:, 1], y) for y in (0.0, 1.0))
+    marks = [inside, *(outside & (np.abs(middle[:, 0] - s) < 0.1) for s in (0.2, 0.8))]
+    tags = mesh.meshtags(box, 2, facets, np.select(marks, [1, 2, 3]).astype(np.int32))
+    box.geometry.x[:] = clip(box.geometry.x)
+    V = fem.functionspace(box, ("Lagrange", 2, (3,)))
+    ways = [fem.Constant(box, np.zeros(3)) for _ in range(2)]
+    bcs = [
+        fem.dirichletbc(way, fem.locate_dofs_topological(V, 2, tags.find(tag)), V)
+        for way, tag in zip(ways, (2, 3), strict=True)
+    ]
+    body = Body(fem.Function(V), materials.neo_hookean(1e6, 0.3), bcs=bcs)
+    problem = ContactProblem(body, contacts=[Contact(Surface(box, tags, 1), friction=0.3)])
+
+    def squeeze(way):
+        for one, sign in zip(ways, (1.0, -1.0), strict=True):
+            one.value[1] = sign * way
+
+    steps = list(quasistatic.march(problem, squeeze, to=0.085, increments=4))
+    assert not any(step.rejected for step in steps) and steps[-1].iterations <= 8
+    force = reaction(problem, bcs[0]).force
+    assert force[1] == pytest.approx(3626.6, rel=1e-3)  # that of segments
+    assert abs(force[2]) < 1e-3 * abs(force[1])
+
+
 SLIDE = 1.6e-3  # m: among the friction bounds of the overlaps, with ε_T = ε_N
 
 
