@@ -112,8 +112,8 @@ class MultiplierSpace:
         (collective)."""
         if not self._extrapolates:
             return
-        total, count = self.sum_over_facets(self.nodal()), self.sum_over_facets(np.ones(self.redundant.shape))
-        self.field.x.array.reshape(-1, self.components)[self.dofs] = total / count
+        mean = self.sum_over_facets(self.nodal()) / self.sum_over_facets(np.ones(self.redundant.shape))
+        self.field.x.array.reshape(-1, self.components)[self.dofs] = np.where(self.redundant, mean, self.own_nodal())
 
     def touched(self, facets: Bool) -> Bool:
         """(nf, nodes) whether some of the given facets (nf,), on any rank, has the node (collective)."""
