@@ -66,6 +66,10 @@ class ActiveSet:
         self._blocks = blocks
         self._node_area = self._area(np.ones(n, dtype=bool))
 
+    def renew(self) -> None:
+        """The multiplier's nodes that count are others now (collective)."""
+        self._node_area = self._area(np.ones(len(self.closed), dtype=bool))
+
     def begin(self, were_in_contact: Bool) -> None:
         """A new solve: gaps are trusted as at first, bounds are free, and points may come back to the target; (n,) says which
         points are on facets that were in contact in the last equilibrium."""

@@ -108,7 +108,7 @@ class Body:
             raise ValueError(f"u: {type(u).__name__} is not a Function; pass the displacement")
         check_space(u)
         self.u, self.thickness = u, positive_or_ufl("thickness", thickness)
-        check_plane(thickness, len(u))
+        check_plane(thickness, u.function_space.mesh.topology.dim)
         self.bcs, self.density = _conditions(bcs, u), density
         self.external = _virtual_work(external, u, self.width)
         tags = _cell_tags([form for form in (material, self.external) if isinstance(form, ufl.Form)])

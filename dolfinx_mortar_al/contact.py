@@ -50,7 +50,8 @@ Bool = NDArray[np.bool_]
 Decisions = tuple[IntegrationPoints, Decided]
 
 SOFTER = 0.125  # ε over what the bulk yields to pressure at the surface (docs/newton.md)
-AGAIN = 2  # times that points follow the target's end when a state has converged, where they chattered before
+AGAIN = 2  # times that points follow the target's end, or nodes are chosen anew, when a state has converged
+SMALL = 1e-6  # share of its shape functions: a point to which free nodes contribute less is prescribed
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
 RIPPLING = 2 * np.pi  # slope of a wave as long as a facet, over its amplitude in facets
 OWN = 0.5  # of the bulk's stiffness holds such waves, whatever contact does (docs/newton.md)
@@ -324,30 +325,37 @@ class ContactPair(PairFindings):
 
     def _redundant(self, contactor: Array, place: Array | None = None) -> Bool:
         """(nf, nodes, components) where the relative displacement is prescribed, so that the multiplier has nothing to
-        enforce: on the contactor and, if the target is deformable, where that is opposite. `contactor` (nf, nodes, gdim) and
-        `place` (nodes, gdim): nodes of both (m), the target's by default undeformed."""
+        enforce: on the contactor and, if the target is deformable, where that is opposite and near, or wherever it lies in a
+        plane of symmetry. `contactor` (nf, nodes, gdim) and `place` (nodes, gdim): nodes of both (m), the target's by
+        default undeformed."""
         fixed = self._fixed.copy()
         facet, node = np.nonzero(fixed.any(axis=2))
         if isinstance(self.target, DeformableTarget) and len(facet):
             points = IntegrationPoints(self.facets, facet, self.facets.shape.nodes[node], np.ones(len(facet)), 1.0)
-            nodes = self.target.surface.X if place is None else place
-            at = self.target.opposite(contactor_points(points, contactor), nodes)
-            on_target = self.target.fixed[self.target.facets[at.facet]]
-            given = np.einsum("nk,nki->ni", np.abs(self.target.weights(at)), on_target) > 1 - 1e-6
-            fixed[facet, node] &= given
+            nodes, here = self.target.surface.X if place is None else place, contactor_points(points, contactor)
+            at, near = self.target.opposite(here, nodes)
+            free = ~self.target.fixed[self.target.facets[at.facet]]
+            given = np.einsum("nk,nki->ni", np.abs(self.target.weights(at)), free) < SMALL
+            planes = self.target.holds_plane(self.facets.X[facet, node])
+            if self.target.is_contactor:  # whose own clamped face may be plane
+                planes &= ~np.asarray(fixed[facet, node].all(axis=1))[:, None]
+            fixed[facet, node] &= (near[:, None] & given) | planes
         return fixed if self.friction else np.asarray(fixed.all(axis=2, keepdims=True))
 
-    def _leave_out_redundant(self) -> None:
-        """In statics, let go of the multiplier's nodes that have nothing to enforce where the bodies were in the last
-        equilibrium, and take those up that have (collective). Time steps need one space of multipliers."""
-        place = self._converged.place
+    def _leave_out_redundant(self, contactor: Array, place: Array | Pose) -> bool:
+        """In statics, let go of the multiplier's nodes that have nothing to enforce with the bodies' nodes at `contactor` and
+        `place`, and take those up that have; whether that is a change (collective). Time steps need one space of
+        multipliers."""
         if not self._may_be_redundant or isinstance(self.kinematics, StepLevel) or not isinstance(place, np.ndarray):
-            return
-        redundant = self._redundant(self._converged.nodes, place)
-        if self.multiplier.leave_out(redundant):
-            self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))
-            self.blocks.renew()
-            self._read_multiplier()
+            return False
+        redundant = self._redundant(contactor, place)
+        if not self.multiplier.leave_out(redundant):
+            return False
+        self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))
+        self.blocks.renew()
+        self.active.renew()
+        self._read_multiplier()
+        return True
 
     def nodal_values(self, u: fem.Function) -> Array:
         """(n, gdim) values of a Function of one of the bodies at those of its nodes that the pair's forces act on: of this
@@ -560,7 +568,7 @@ class ContactPair(PairFindings):
         if isinstance(self.law, Coulomb):
             self.law = replace(self.law, μ=self.friction_coefficient)
             self._doubt(self.law.μ)
-        self._leave_out_redundant()
+        self._leave_out_redundant(self._converged.nodes, self._converged.place)
         self._hold_flat()
         self.blocks.holds_facets = False
         self._hold_shares(False)
@@ -572,13 +580,19 @@ class ContactPair(PairFindings):
         self.begin_again()
 
     def follow_again(self) -> bool:
-        """Let points that rest though the target's end has moved follow it once more, AGAIN times in a solve; whether they do
-        (collective). Where cuts alone have moved, as those of segments, it does not matter."""
+        """A state has converged: AGAIN times in a solve, let points that rest though the target's end has moved follow it
+        once more, and choose the multiplier's nodes anew; whether anything is another now (collective). Where cuts alone have
+        moved, as those of segments, it does not matter, nor does it help where they move on farther each time."""
         segments = self.segments
-        if segments is None or not segments.lags or segments.diverges or not segments.settles or self._again == 0:
+        if self._again == 0:
+            return False
+        chosen = self._leave_out_redundant(self.kinematics.nodes(), self.target.place)
+        follows = segments is not None and bool(segments.settles) and segments.lags and not segments.diverges
+        if not (chosen or follows):
             return False
         self._again -= 1
-        self.begin_again()
+        if follows:
+            self.begin_again()
         self.evaluate()
         return True
 
@@ -900,7 +914,7 @@ class ContactPair(PairFindings):
         self._converged = Converged(saved["nodes"].copy(), place, *was)
         self.target.refresh()
         λN_hat = self._restore_at_points(saved)
-        self._leave_out_redundant()
+        self._leave_out_redundant(self._converged.nodes, place)
         self._end_solve()
         self.kinematics.evaluate()
         self.active.expect(λN_hat, self.kinematics, self.epsilon.normal)

@@ -151,10 +151,11 @@ class ContactorFunctions:
         total = self._vertex_sums(N)
         some = total > 0
         columns = [
-            np.where(some, self._vertex_sums(N * column[:, None]) / np.where(some, total, 1.0), otherwise)
+            np.where(some, self._vertex_sums(N * column[:, None]) / np.where(some, total, 1.0), 0.0)
             for column in values.reshape(len(N), values.shape[1] if values.ndim > 1 else 1).T
         ]
-        return np.asarray(self._at_nodes @ np.stack(columns, axis=2))
+        means, known = self._at_nodes @ np.stack(columns, axis=2), (some @ self._at_nodes.T)[:, :, None]
+        return np.where(known > 0, means / np.where(known > 0, known, 1.0), otherwise)
 
     def _vertex_sums(self, values: Array) -> Array:
         """(nf, vertices) sums of (n, vertices) over the points of all facets at a vertex, on all ranks (collective)."""

@@ -15,10 +15,11 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh, MeshTags
 from numpy.typing import NDArray
-from ufl.algorithms.analysis import extract_coefficients, extract_constants
+from ufl.algorithms.analysis import extract_coefficients, extract_constants, extract_type
 from ufl.core.expr import Expr
+from ufl.geometry import GeometricQuantity
 
-from dolfinx_mortar_al.validation import check_law, constant_value, is_ufl, number, positive_or_ufl
+from dolfinx_mortar_al.validation import check_law, check_plane, constant_value, is_ufl, number, positive_or_ufl
 
 __all__ = [
     "SERIES",
@@ -116,9 +117,14 @@ class Hyperelastic(ABC):
         """Whether Λ is far above G (ν > .4545), or may be somewhere, of moduli that are fields."""
         ratio = self.lame / self.G
         if isinstance(ratio, Expr):
-            if extract_coefficients(ratio):
+            constants = extract_constants(ratio)
+            if (
+                extract_coefficients(ratio)
+                or extract_type(ratio, GeometricQuantity)
+                or any(c.ufl_shape for c in constants)
+            ):
                 return True
-            ratio = ratio((), {c: float(c.value) for c in extract_constants(ratio)})
+            ratio = ratio((), {c: float(c.value) for c in constants})
         return bool(ratio > STIFF_IN_VOLUME)
 
     @abstractmethod
@@ -166,6 +172,7 @@ class Hyperelastic(ABC):
         """
         check_law(u, membrane=False, what=type(self).__name__)
         thickness = positive_or_ufl("thickness", thickness)
+        check_plane(thickness, u.function_space.mesh.topology.dim)
         v = ufl.TestFunction(u.function_space) if v is None else v
         dx = cell_measure(u, dx)
         return thickness * ufl.inner(self.first_piola(deformation_gradient(u)), ufl.grad(v)) * dx

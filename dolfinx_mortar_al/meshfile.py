@@ -79,23 +79,22 @@ def _opened(path: Path) -> Iterator[tuple[Any, list[str]]]:
     started = not gmsh.isInitialized()
     if started:
         gmsh.initialize(interruptible=False)
-    models = len(gmsh.model.list())
     current, talks = gmsh.model.getCurrent(), gmsh.option.getNumber("General.Terminal")
+    gmsh.model.add("file")  # the caller's models stay as they are
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.logger.start()
         before = len(gmsh.logger.get())  # of earlier files
-        gmsh.open(str(path))
+        gmsh.merge(str(path))
         said = gmsh.logger.get()[before:]
         yield gmsh, [line for line in said if line.startswith(("Error", "Warning"))]
     finally:
         gmsh.logger.stop()
         if started:
             gmsh.finalize()
-        else:  # the caller's models are as they were
+        else:
             gmsh.option.setNumber("General.Terminal", talks)
-            for _ in range(len(gmsh.model.list()) - models):
-                gmsh.model.remove()
+            gmsh.model.remove()
             gmsh.model.setCurrent(current)
 
 

@@ -112,8 +112,9 @@ class MultiplierSpace:
         (collective)."""
         if not self._extrapolates:
             return
-        mean = self.sum_over_facets(self.nodal()) / self.sum_over_facets(np.ones(self.redundant.shape))
-        self.field.x.array.reshape(-1, self.components)[self.dofs] = np.where(self.redundant, mean, self.own_nodal())
+        total, count = (self._sums(values) for values in (self.nodal(), np.ones(self.redundant.shape)))
+        field = self.field.x.array.reshape(-1, self.components)
+        field[self._flags] = total[self._flags] / count[self._flags]
 
     def touched(self, facets: Bool) -> Bool:
         """(nf, nodes) whether some of the given facets (nf,), on any rank, has the node (collective)."""
@@ -140,11 +141,15 @@ class MultiplierSpace:
 
     def sum_over_facets(self, values: Array) -> Array:
         """(nf, nodes, components) sums of element vectors over all facets that share a node, on all ranks (collective)."""
+        return self._sums(values)[self.dofs]
+
+    def _sums(self, values: Array) -> Array:
+        """(local block dofs, components) the same."""
         total = fem.Function(self.field.function_space)
         np.add.at(total.x.array.reshape(-1, self.components), self.dofs, values)
         total.x.scatter_reverse(InsertMode.add)
         total.x.scatter_forward()
-        return np.asarray(total.x.array.reshape(-1, self.components)[self.dofs])
+        return np.asarray(total.x.array.reshape(-1, self.components))
 
     @property
     def size(self) -> int:

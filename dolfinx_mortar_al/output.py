@@ -138,7 +138,7 @@ def summary(
         "unknowns": problem.unknowns,
         "linear_solver": None if problem.linear_solver is None else str(problem.linear_solver),
         "epsilon": {p.name: {"normal": p.epsilon.normal, "tangential": p.epsilon.tangential} for p in problem.pairs},
-        "newton_iterations": int(sum(row["newton_iterations"] for row in history.rows)),
+        "newton_iterations": int(sum(row.get("newton_iterations", 0) for row in history.rows)),
         "steps": len(history.rows),
         "rejected_steps": rejected,
         "wall_time": {part: round(s, 4) for part, s in sorted(problem.stopwatch.seconds.items())},
@@ -362,6 +362,10 @@ def deformed_cells(u: fem.Function) -> Array | None:
     """(cells, points, gdim) current outlines of all cells in drawing order, on rank 0 (else None): the corners of
     two-dimensional cells, all nodes along the cells of a curve."""
     V, mesh = u.function_space, u.function_space.mesh
+    if mesh.topology.dim == 3:
+        raise ValueError(
+            f"u: cells in space ({mesh.topology.cell_name()}) have no outline; output.picture draws bodies"
+        )
     order = {"interval": [0, *range(2, V.element.basix_element.dim), 1], "triangle": [0, 1, 2]}.get(
         mesh.topology.cell_name(), [0, 1, 3, 2]
     )

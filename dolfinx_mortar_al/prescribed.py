@@ -93,5 +93,5 @@ def _held(target: Target, at: Projection) -> Bool:
     """(n, gdim) which components are prescribed of what is faced."""
     if isinstance(target, RigidTarget):
         return np.ones_like(at.ν, dtype=bool)
-    fixed = target.fixed[target.facets[at.point.facet]]
-    return np.asarray(np.einsum("nk,nki->ni", np.abs(target.weights(at.point)), fixed) > ALONG)
+    free = ~target.fixed[target.facets[at.point.facet]]
+    return np.asarray(np.einsum("nk,nki->ni", np.abs(target.weights(at.point)), free) < 1.0 - ALONG)

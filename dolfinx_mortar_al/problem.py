@@ -424,7 +424,7 @@ class ContactProblem:
         """Of add_contact the multipliers' residuals alone."""
         with self.stopwatch("contact"):
             for pair, part in zip(self.pairs, f.getNestSubVecs()[1:], strict=True):
-                part.set(0.0)  # and stays so at redundant nodes, whose value is 0 and whose row is diagonal
+                part.set(0.0)  # and stays so at redundant nodes, whose row is diagonal
                 insert_vector(part, *pair.multiplier_residual(), pair.unit)
                 part.assemble()
             f.assemble()

@@ -43,6 +43,7 @@ GROWTH = 30.0  # of STILL with each move in a solve: points that would chatter w
 STILL_AT_ENDS = 3e-7
 GROWTH_AT_ENDS = 10.0  # with each move that is more than a share SETTLES of the one before: others do not chatter
 SETTLES = 0.5
+GROWN = 2  # times in a row that cuts have moved farther: they do not settle
 SNAP = 1e-6  # in facets: a cut closer to another, or to a facet's end, is none; its displacement counts squared, too
 NEWTON = 8  # iterations for the ray of a curved facet through a point, or a point of a quadrilateral
 # weight in the multiplier's equation of what faces nothing: where more than a tenth of the facets around a node is covered,
@@ -91,11 +92,12 @@ class Segments(ABC):
     def begin(self) -> None:
         """A new solve: points follow closely at first, less and less as they are moved again."""
         self._still, self._last, self.rest, self.lags = self.still, np.inf, False, False
-        # how often in a row points have moved farther than the time before
-        self._growing = 0
+        # how often in a row points have moved farther than the time before, and how far cuts are from them now
+        self._growing, self._lag = 0, 0.0
 
     def _follows(self, motion: float) -> bool:
         """Whether points follow cuts that have moved so far (in facets)."""
+        self._lag = motion
         #: whether they stay though cuts have moved, after they have followed them in this solve, and by more than `still`
         self.rest = 0.0 < motion <= self._still and self._last < np.inf
         self.lags = self.still < motion <= self._still
@@ -105,14 +107,14 @@ class Segments(ABC):
             self._still *= self.growth
         self._growing = self._growing + 1 if motion > self._last else 0
         self._last = motion
-        if self.diverges and self.settles:
+        if self._growing >= GROWN and self.settles:
             self._still = max(self._still, self.growth * motion)
         return True
 
     @property
     def diverges(self) -> bool:
         """Whether to follow the cuts moves them on, farther each time, as edges that lie on each other may be."""
-        return self._growing >= 2
+        return self._growing >= GROWN and self._lag > self._last
 
     def forget(self) -> None:
         """Make new points next time, whether anything has moved or not."""

@@ -90,8 +90,8 @@ class SelfTarget(DeformableTarget):
         into &= length >= self._least[points.facet[found.row]]
         return np.asarray(into & (-found.d >= HALF * length) & (HALF * -found.d <= length))
 
-    def opposite(self, points: ContactorPoints, nodes: Array) -> TargetPoint:
-        return self.faced(points, nodes)[0]
+    def opposite(self, points: ContactorPoints, nodes: Array) -> tuple[TargetPoint, Bool]:
+        return self.faced(points, nodes)
 
     def admits(self, facet: Index, at: TargetPoint) -> Bool:
         return precedes(self.role, self.own[facet], at.facet)

@@ -28,6 +28,7 @@ __all__ = ["ContactorPoints", "DeformableTarget", "Place", "RigidTarget", "Targe
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+IN_PLANE = 1e-6  # of a facet: nodes that near a plane lie in it
 #: present positions (nodes, gdim) of a deformable target's nodes (m), or a rigid one's pose
 Place = Array | Pose
 
@@ -201,10 +202,22 @@ class DeformableTarget(Target):
         """Which hits of the points' rays (m,) count; None for those that closest points confirm where they are deep."""
         return None
 
-    def opposite(self, points: ContactorPoints, nodes: Array) -> TargetPoint:
-        """What contactor points face, or would face, of the target with its nodes at `nodes` (nodes, gdim) in metres, however
-        far away."""
-        return self._closest(points.x, nodes).point
+    def opposite(self, points: ContactorPoints, nodes: Array) -> tuple[TargetPoint, NDArray[np.bool_]]:
+        """What contactor points face of the target with its nodes at `nodes` (nodes, gdim) in metres, and (n,) whether it is
+        near enough to count."""
+        at = self._closest(points.x, nodes)
+        return at.point, np.linalg.norm(points.x - at.y, axis=1) <= self.size
+
+    def holds_plane(self, X: Array) -> NDArray[np.bool_]:
+        """(n, gdim) whether a component is prescribed at all of the target's nodes that have the same reference coordinate
+        along it as a point X (n, gdim), and there are any: in a plane of symmetry or of a slice."""
+        held, slack = np.zeros(X.shape, dtype=bool), IN_PLANE * self.size
+        for i in range(X.shape[1]):
+            order = np.argsort(self.surface.X[:, i])
+            free = np.concatenate([[0], np.cumsum(~self.fixed[order, i])])
+            first, end = (np.searchsorted(self.surface.X[order, i], X[:, i] + way) for way in (-slack, slack))
+            held[:, i] = (end > first) & (free[end] == free[first])
+        return held
 
     def faced(self, points: ContactorPoints, nodes: Array) -> tuple[TargetPoint, NDArray[np.bool_]]:
         couples = ray_candidates(points.x, points.normal, nodes[self.facets], 0.0)[:2]

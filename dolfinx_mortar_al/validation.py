@@ -449,7 +449,7 @@ def joint_thickness(contact: Any, name: str, bodies: Sequence[Any]) -> float:
             f"thickness of {next(iter(widths))} is UFL: pass that of the contact {name!r} as a number. Bodies of revolution "
             "(2 π r) have hoop strains, which plane laws do not: mesh a sector in space"
         )
-    check_plane(thickness=contact.thickness, gdim=contact.contactor.mesh.geometry.dim)
+    check_plane(contact.thickness, contact.contactor.mesh.geometry.dim)
     first, thickness = next(iter(said.items()), ("", 1.0))
     for whose, width in said.items():
         if not math.isclose(thickness, width, rel_tol=1e-9):
@@ -460,14 +460,15 @@ def joint_thickness(contact: Any, name: str, bodies: Sequence[Any]) -> float:
     return float(thickness)
 
 
-def check_plane(thickness: Any, gdim: int) -> None:
+def check_plane(thickness: Any, dim: int) -> None:
     """A thickness out of the plane is one of plane problems.
 
     Raises:
-        ValueError: if it is said, and not 1, in space.
+        ValueError: if it is said, and not 1, where `dim` is 3.
     """
-    if gdim == 3 and thickness is not None and (isinstance(thickness, ufl.core.expr.Expr) or thickness != 1.0):
-        raise ValueError(f"thickness = {thickness}: out of the plane, and this body is in space; leave it out")
+    said = constant_value(thickness)
+    if dim == 3 and said is not None and (isinstance(said, ufl.core.expr.Expr) or said != 1.0):
+        raise ValueError(f"thickness = {said}: out of the plane, and this body is in space; leave it out")
 
 
 def _widths(contact: Any, bodies: Sequence[Any]) -> dict[int, Any]:

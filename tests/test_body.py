@@ -273,3 +273,29 @@ def test_what_is_said_twice_or_not_at_all():
     ]:
         with pytest.raises(ValueError, match=words):
             make()
+
+
+@pytest.mark.parametrize("name", ["place", "step", "component"])
+def test_graded_moduli(name):
+    """Functions of the place, and a component of a Constant: cells in series, pulled, each with its mean stiffness."""
+    n = 8
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (1, 1)], (n, 1), mesh.CellType.quadrilateral)
+    x, pair = ufl.SpatialCoordinate(domain), fem.Constant(domain, np.array([1e6, 2e6]))
+    middle = (np.arange(n) + 0.5) / n
+    E, stiffness = {
+        "place": (1e6 * (1.0 + x[0]), 1.0 + middle),
+        "step": (ufl.conditional(ufl.lt(x[0], 0.5), 1e6, 2e6), np.where(middle < 0.5, 1.0, 2.0)),
+        "component": (pair[1], np.full(n, 2.0)),
+    }[name]
+    V, way = fem.functionspace(domain, ("Lagrange", 1, (2,))), fem.Constant(domain, 0.0)
+
+    def held(value, component, where):
+        nodes = fem.locate_dofs_geometrical((V.sub(component), V.sub(component).collapse()[0]), where)[0]
+        return fem.dirichletbc(value, nodes, V.sub(component))
+
+    bcs = [held(0.0, 0, lambda x: np.isclose(x[0], 0.0)), held(0.0, 1, lambda x: np.isclose(x[1], 0.0))]
+    bcs.append(held(way, 0, lambda x: np.isclose(x[0], 1.0)))
+    problem = ContactProblem(Body(fem.Function(V), materials.neo_hookean(E, 0.0), bcs=bcs))
+    list(quasistatic.march(problem, way, to=1e-5, increments=1))
+    expected = 1e-5 * 1e6 * n / np.sum(1.0 / stiffness)
+    assert reaction(problem, bcs[2]).force[0] == pytest.approx(expected, rel=1e-3)

@@ -388,6 +388,7 @@ def test_a_thickness_in_space():
     sides = [Surface(built, tags, tag) for tag in (UPPER_BOTTOM, LOWER_TOP)]
     for make in (
         lambda: Body(u, law, thickness=0.02),
+        lambda: Body(u, [(law, ufl.dx(built))], thickness=fem.Constant(built, 0.02)),
         lambda: ContactProblem(Body(u, law), contacts=[Contact(*sides, thickness=0.02)]),
     ):
         with pytest.raises(ValueError, match=r"thickness = 0\.02: out of the plane, and this body is in space"):
@@ -395,7 +396,9 @@ def test_a_thickness_in_space():
 
 
 @pytest.mark.one_rank
-def test_reading_a_file_leaves_the_callers_models(tmp_path):
+@pytest.mark.parametrize("drawn", [True, False])
+def test_reading_a_file_leaves_the_callers_models(tmp_path, drawn):
+    """Those with something in them, and an empty one."""
     import gmsh
 
     gmsh.initialize(interruptible=False)
@@ -408,12 +411,13 @@ def test_reading_a_file_leaves_the_callers_models(tmp_path):
         gmsh.model.mesh.generate(2)
         gmsh.write(str(tmp_path / "square.msh"))
         gmsh.model.add("mine")
-        gmsh.model.occ.addRectangle(0, 0, 0, 2, 1)
-        gmsh.model.occ.synchronize()
+        if drawn:
+            gmsh.model.occ.addRectangle(0, 0, 0, 2, 1)
+            gmsh.model.occ.synchronize()
         before = gmsh.model.list()
         read_msh(tmp_path / "square.msh", MPI.COMM_SELF)
         assert gmsh.model.list() == before and gmsh.model.getCurrent() == "mine"
-        assert gmsh.model.getEntities(2) == [(2, 1)]
+        assert gmsh.model.getEntities(2) == [(2, 1)] * drawn
     finally:
         gmsh.finalize()
 
