@@ -395,7 +395,7 @@ def clip(x):
 @pytest.mark.one_rank  # what it takes grows from round-off
 def test_legs_with_flush_edges_are_squeezed_shut():
     """With Gauss points, which end where the other leg does: along the legs, whose edges lie on each other. To follow these
-    moves them apart, farther each time: 20 iterations for 5, and an oblique drag after it took 214 for 41."""
+    moves them apart, farther each time: 20 iterations for 5, and an oblique drag after it took 214 for 46."""
     box = mesh.create_box(MPI.COMM_WORLD, [(0, 0, 0), (1, 1, 1)], (24, 1, 2), mesh.CellType.hexahedron)
     box.topology.create_connectivity(2, 3)
     facets = mesh.exterior_facet_indices(box.topology)
