@@ -209,7 +209,7 @@ class ContactPair(PairFindings):
         self._at_end = np.isin(own, contactor.blocks[contactor.end_nodes]).reshape(self.facets.dofs.shape)
         # (nf, nodes, gdim) which components are prescribed
         self._fixed: Bool = self._at_nodes(self._body1.prescribed()) > 0
-        self._may_be_redundant = any_over(self.comm, self._fixed.any())
+        self._may_be_redundant = any_over(self.comm, self._fixed.any()) and bool(self.target.fixed.any())
         redundant = self._redundant(self.facets.X)
         #: (nf,) facets whose motion relative to the target is prescribed altogether
         self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))

@@ -87,8 +87,8 @@ KLANG = "Klang as quoted with SSNV127 (code_aster V6.04.127)"
         ),
         Quantity(
             "stick half angle, one step",
-            KLANG + "; code_aster's nodes are 3° apart, points here half a degree",
-            3.5 / 26.2,
+            KLANG + "; code_aster's nodes are 3° apart",
+            3 / 26.2,
             "degrees",
             order=0,
         ),
