@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, obstacles
-from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.contact_pair import ContactPair
 from dolfinx_mortar_al.dynamics import StepFailure
 from dolfinx_mortar_al.law import OPEN
 from meshes.gmsh_session import distribute

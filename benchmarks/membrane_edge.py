@@ -29,7 +29,7 @@ from dolfinx import fem
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT))
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, loads, membrane, multiplier, output, quasistatic
-from dolfinx_mortar_al.contact import SOFTER, ContactPair
+from dolfinx_mortar_al.contact_pair import SOFTER, ContactPair
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.surface import GatheredFacets
 from dolfinx_mortar_al.versions import geometry_nodes

@@ -20,7 +20,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic
-from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.contact_pair import ContactPair
 
 E = 100.0  # of the block (Pa)
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ from scenes import tip
 from test_self_contact import OPENING, PRESSURE, bulbs, c_shape, flattened, flight
 
 from dolfinx_mortar_al import quasistatic, self_target
-from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.contact_pair import ContactPair
 
 
 def say(*words: object) -> None:

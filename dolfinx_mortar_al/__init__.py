@@ -5,7 +5,8 @@ import gc
 from dolfinx_mortar_al import dynamics, loads, materials, membrane, monitors, obstacles, output, quasistatic
 from dolfinx_mortar_al.body import Body
 from dolfinx_mortar_al.checkpoint import Checkpoint
-from dolfinx_mortar_al.contact import Contact, ContactPair
+from dolfinx_mortar_al.contact import Contact
+from dolfinx_mortar_al.contact_pair import ContactPair
 from dolfinx_mortar_al.meshfile import read_msh
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem

@@ -15,7 +15,7 @@ from dolfinx_mortar_al.law import OPEN, SLIP, STICK
 from dolfinx_mortar_al.surface import ShapeFunctions
 
 if TYPE_CHECKING:
-    from dolfinx_mortar_al.contact import ContactPair
+    from dolfinx_mortar_al.contact_pair import ContactPair
     from dolfinx_mortar_al.results import PairResults
 
 __all__ = ["ContactFields", "ContactorFunctions", "gathered"]

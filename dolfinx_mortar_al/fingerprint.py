@@ -20,7 +20,7 @@ from dolfinx_mortar_al.versions import geometry_nodes
 
 if TYPE_CHECKING:
     from dolfinx_mortar_al.bodies import BodyForms
-    from dolfinx_mortar_al.contact import ContactPair
+    from dolfinx_mortar_al.contact_pair import ContactPair
     from dolfinx_mortar_al.problem import ContactProblem
 
 __all__ = ["Fingerprint", "differences", "fingerprint"]

@@ -23,7 +23,7 @@ from dolfinx_mortar_al.validation import constant_value
 
 if TYPE_CHECKING:
     from dolfinx_mortar_al.bodies import BodyForms
-    from dolfinx_mortar_al.contact import ContactPair
+    from dolfinx_mortar_al.contact_pair import ContactPair
 
 __all__ = ["Given"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.bodies import Bodies
-from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.contact_pair import ContactPair
 from dolfinx_mortar_al.law import OPEN
 from dolfinx_mortar_al.reductions import max_over, sum_over
 

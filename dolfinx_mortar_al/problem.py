@@ -22,8 +22,9 @@ from petsc4py import PETSc
 
 from dolfinx_mortar_al.bodies import SLACK, Bodies
 from dolfinx_mortar_al.body import Body
-from dolfinx_mortar_al.contact import Contact, ContactPair
+from dolfinx_mortar_al.contact import Contact
 from dolfinx_mortar_al.contact_motions import ContactMotions
+from dolfinx_mortar_al.contact_pair import ContactPair
 from dolfinx_mortar_al.given import Given
 from dolfinx_mortar_al.led import lead
 from dolfinx_mortar_al.load import Loads

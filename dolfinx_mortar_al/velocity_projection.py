@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.blocks import apply_columns
-from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.contact_pair import ContactPair
 from dolfinx_mortar_al.law import Coulomb
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector
 from dolfinx_mortar_al.problem import ContactProblem

@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from robustness import BALANCE, DEEPEST, UNFELT, march
 from robustness_scenes import FAMILIES, draw
 
-from dolfinx_mortar_al.contact import ContactPair
+from dolfinx_mortar_al.contact_pair import ContactPair
 from dolfinx_mortar_al.monitors import ModelWarning
 
 pytestmark = pytest.mark.one_rank

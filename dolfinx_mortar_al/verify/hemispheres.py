@@ -11,8 +11,8 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al import ContactProblem, Surface, obstacles
-from dolfinx_mortar_al.contact import ContactPair
 from dolfinx_mortar_al.contact_fields import ContactFields
+from dolfinx_mortar_al.contact_pair import ContactPair
 from dolfinx_mortar_al.verify.case import Effort, Outcome, Quantity, Run, case
 from dolfinx_mortar_al.verify.hertz import Ball
 from dolfinx_mortar_al.verify.meshes import Body, build, glue, graded, grid

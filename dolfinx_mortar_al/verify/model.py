@@ -13,8 +13,8 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, quasistatic
-from dolfinx_mortar_al.contact import ContactPair
 from dolfinx_mortar_al.contact_fields import ContactFields
+from dolfinx_mortar_al.contact_pair import ContactPair
 from dolfinx_mortar_al.materials import lame
 from dolfinx_mortar_al.newton import NewtonSolver
 from dolfinx_mortar_al.obstacles import Obstacle

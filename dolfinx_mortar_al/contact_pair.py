@@ -1,0 +1,894 @@
+"""A contact pair: two surfaces, a law, and what it takes to evaluate eq. (4) and its derivative.
+
+A :class:`~dolfinx_mortar_al.contact.Contact` is what the user describes. A :class:`ContactPair` is put together from parts,
+each in a module of its own: points (`integration`), their kinematics (`kinematics`), the law (`law`), the active set
+(`active_set`), element arrays (`blocks`) and results (`results`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from dolfinx_mortar_al.active_set import ActiveSet, Decided
+from dolfinx_mortar_al.blocks import Blocks, Tangent
+from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.contact import Contact, coefficient
+from dolfinx_mortar_al.corners import SharpCorners
+from dolfinx_mortar_al.cut_tangent import CutTangent, tangent_of_cuts
+from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, degrees_on, segment_degree
+from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
+from dolfinx_mortar_al.law import OPEN, SLIP, Augmentation, Coulomb, Frictionless, LawState, augmented_normal
+from dolfinx_mortar_al.monitors import Finding, warn
+from dolfinx_mortar_al.multiplier import MultiplierSpace
+from dolfinx_mortar_al.obstacles import Pose
+from dolfinx_mortar_al.pair_findings import PairFindings
+from dolfinx_mortar_al.prescribed import PrescribedNodes
+from dolfinx_mortar_al.reductions import any_over, max_over, min_over, sum_over
+from dolfinx_mortar_al.segments import UNCOVERED, Segments, ends_of, segments_of
+from dolfinx_mortar_al.self_target import SelfTarget
+from dolfinx_mortar_al.smoothing import lacking_compliance
+from dolfinx_mortar_al.step_level import StepLevel
+from dolfinx_mortar_al.stopwatch import Stopwatch
+from dolfinx_mortar_al.surface import Facets, GatheredFacets, Surface
+from dolfinx_mortar_al.target_end import TargetEnd
+from dolfinx_mortar_al.targets import DeformableTarget, RigidTarget, Target, target_of
+from dolfinx_mortar_al.unfelt import Converged, Unfelt
+from dolfinx_mortar_al.validation import constant_value
+from dolfinx_mortar_al.zone_width import ZoneWidth
+
+__all__ = ["ContactPair"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Bool = NDArray[np.bool_]
+Decisions = tuple[IntegrationPoints, Decided]
+
+SOFTER = 0.125  # ε over what the bulk yields to pressure at the surface (docs/newton.md)
+AGAIN = 2  # times that points follow the target's end, or nodes are chosen anew, when a state has converged
+SMALL = 1e-6  # share of its shape functions: a point to which free nodes contribute less is prescribed
+FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
+RIPPLING = 2 * np.pi  # slope of a wave as long as a facet, over its amplitude in facets
+OWN = 0.5  # of the bulk's stiffness holds such waves, whatever contact does (docs/newton.md)
+FIRMEST = 12.0  # the same for ε_N in time steps: by p/ε_N, less than 1 % of a facet, do partly closed facets overlap
+ROUGHEST = 5.0  # a friction coefficient beyond that of rubber: on a plane that rises by 79° nothing would slide
+NEAR = 2.0  # of the target's facets: gaps that may close in a step
+FAR = 100.0  # times more or less than by default: where Newton has been seen to fail for ε
+DEPENDS = (
+    "the answer depends on it where facets are partly closed, by more than a mesh twice as fine does; leave it out"
+)
+
+
+class ContactPair(PairFindings):
+    """A :class:`Contact` on a displacement space: its state at the last evaluation, slip history and outputs."""
+
+    def __init__(self, contact: Contact, bodies: Bodies, stopwatch: Stopwatch, name: str = "contact") -> None:
+        self.contact, self.name = contact, name
+        assert contact.thickness is not None  # the problem knows it
+        self.thickness = contact.thickness
+        self.stopwatch = stopwatch
+        self.comm, self.gdim = bodies.comm, bodies.gdim
+        #: whether there is friction, or may be
+        self.friction = friction = isinstance(contact.friction, fem.Constant) or contact.friction > 0
+        k = bodies.index(contact.contactor.mesh)
+        self._body1 = bodies.bodies[k]
+        self.facets = Facets.of(contact.contactor, self._body1.space)
+        contactor = self.facets.gather()
+        self.target = self._make_target(bodies, contactor.size_of_facets)
+        self._contactor, self._own = contactor, contactor.places_of(self.facets)
+        self.is_segmented = contact.integration == "segments" and isinstance(self.target, DeformableTarget)
+        #: Gauss points of whole facets, where λ̂_N is kept from step to step
+        self.gauss = self._points(contactor)
+        self.integration = self.gauss
+        self.area = sum_over(self.comm, float(self.j.sum()))
+        self._facet_count = sum_over(self.comm, self.facets.size)
+        self._check_apart(contactor)
+        reach = max(bodies.reach(), self.target.reach)
+        statics = PositionLevel(self.integration, self._body1.u, self.target, friction, reach)
+        self.kinematics: Kinematics = statics
+        # points, what the law said and slip in the last step that was committed; (nf, nodes, gdim) where the nodes were (m)
+        self._committed: tuple[IntegrationPoints, LawState, Array | None] | None = None
+        self._committed_at: Array = np.zeros(0)
+        #: (nf, nodes) numbers of the contactor's nodes among all bodies'
+        self.contactor_blocks: Index = bodies.nodes(k, self.facets.dofs)
+        own = self.facets.space.dofmap.index_map.local_to_global(self.facets.dofs.ravel())
+        self._at_end = np.isin(own, contactor.blocks[contactor.end_nodes]).reshape(self.facets.dofs.shape)
+        # (nf, nodes, gdim) which components are prescribed
+        self._fixed: Bool = self._at_nodes(self._body1.prescribed()) > 0
+        self._may_be_redundant = any_over(self.comm, self._fixed.any()) and bool(self.target.fixed.any())
+        redundant = self._redundant(self.facets.X)
+        #: (nf,) facets whose motion relative to the target is prescribed altogether
+        self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))
+        surface = contact.target if isinstance(contact.target, Surface) else None
+        self._prescribed_nodes = PrescribedNodes(contact.contactor, self.target, surface, bodies)
+        components = self.gdim if friction else 1
+        self.multiplier = MultiplierSpace(self.facets, contact.multiplier_order, components, redundant)
+        corners = None
+        if not self.target.is_contactor:  # at a crease the roles decide, and with equal orders both sides count
+            corners = SharpCorners.of(self.facets, contactor, self.multiplier.own, self.comm)
+        self.blocks = Blocks(
+            self.integration, self.contactor_blocks, self._fixed, self.target, self.multiplier, corners
+        )
+        self.active = ActiveSet(self.blocks, self.comm)
+        self.is_pressed_hard = False
+        self.target_end = self._make_end()
+        #: whether points stay where they are, whatever moves
+        self.holds_points = False
+        self._again = AGAIN
+        self.segments = self._make_segments()
+        if self.segments is not None:  # in statics they end with the target
+            self.segments.fills = np.asarray(self._at_end.any(axis=1))
+            statics.beyond = UNCOVERED
+            statics.turning_nodes = self.segments.turning_nodes
+            statics.level = max(self.target.size, contactor.size_of_facets)
+        self._bodies = bodies
+        self._doubted = False
+        self._unfelt: Unfelt | None = None  # impact does without
+
+    # ---------------------------------------------------------------- set-up
+
+    def _make_target(self, bodies: Bodies, size: float) -> Target:
+        """The target; `size` (m) of the contactor's facets."""
+        contact = self.contact
+        if contact.target is None:
+            return SelfTarget(contact.contactor, self.facets, bodies)
+        return target_of(contact.target, bodies, size, contact.projection == "rays")
+
+    def _at_nodes(self, u: fem.Function) -> Array:
+        """(nf, nodes, gdim) values of the contactor's body at its facets' nodes; ghosts are up to date."""
+        return np.asarray(u.x.array.reshape(-1, self.gdim)[self.facets.dofs])
+
+    def _points(self, contactor: GatheredFacets) -> IntegrationPoints:
+        """The Gauss points on this rank's part of the contactor."""
+        contact, order = self.contact, self.facets.shape.order
+        if contact.multiplier_order not in (1, order):
+            raise ValueError(
+                f"{self.name}: multiplier_order = {contact.multiplier_order} for a displacement of order {order}: "
+                f"take 1{f' or {order}' if order > 1 else ''}"
+            )
+        degree = contact.quadrature_degree
+        if degree is not None and degree < 2 * contact.multiplier_order:
+            raise ValueError(
+                f"{self.name}: quadrature_degree = {degree} has too few points to determine multipliers of order "
+                f"{contact.multiplier_order}; take at least {2 * contact.multiplier_order}"
+            )
+        count = self.facets.size
+        if degree is not None and not self.is_segmented:
+            return IntegrationPoints.gauss(self.facets, np.full(count, degree), self.thickness)
+        degree = default_degree(self.facets, contact.contactor.is_membrane)
+        points = IntegrationPoints.gauss(self.facets, np.full(count, degree), self.thickness)
+        degrees = degrees_on(self.facets, degree, self._faced_extents(points), contactor)
+        return points if (degrees == degree).all() else IntegrationPoints.gauss(self.facets, degrees, self.thickness)
+
+    def _faced_extents(self, points: IntegrationPoints) -> Array:
+        """(nf,) extent (m) of the target's facets that each facet may face: of the finest that is closest to one of its
+        points at the start, or the mean of all, onto which it may slide, if that is less."""
+        mean = float(np.mean(self.target.extents))
+        faced = np.full(self.facets.size, mean)
+        if isinstance(self.target, DeformableTarget) and self.facets.size:
+            at = self.target.at_reference(points.interpolate(self.facets.X))
+            np.minimum.at(faced, points.facet, self.target.extents[at.point.facet])
+        return faced
+
+    def _make_segments(self) -> Segments | None:
+        """What moves the points: segments, where they are wanted and there is a target with ends of facets, and else the
+        target's own end."""
+        degree, target, shape = self.contact.quadrature_degree, self.target, self.facets.shape
+        if not isinstance(target, DeformableTarget) or not target.uses_rays:
+            return None
+        if shape.dim == 1 and not self.is_segmented:
+            if degree is None:
+                degree = default_degree(self.facets, self.contact.contactor.is_membrane)
+            return ends_of(target.surface, self.gauss, degree, self.comm)
+        least = segment_degree(shape, target.surface.shape, self.contact.multiplier_order)
+        if not self.is_segmented:  # polygons are many, and exact with this
+            return ends_of(target.surface, self.gauss, least, self.comm)
+        return segments_of(self.facets, target.surface, degree or least, self.thickness, self.comm)
+
+    def _make_end(self) -> TargetEnd | None:
+        """What holds points to a target that rays may miss."""
+        target = self.target
+        if not isinstance(target, DeformableTarget) or target.is_contactor or not target.uses_rays:
+            return None
+        return TargetEnd(target, self.integration.size)
+
+    def _check_apart(self, contactor: GatheredFacets) -> None:
+        """Contactor and target share no node: the gap would vanish there whatever happens.
+
+        Raises:
+            ValueError: on every rank.
+        """
+        target = self.target
+        if target.is_contactor or not (isinstance(target, DeformableTarget) and target.is_of(self._body1.u)):
+            return
+        shared = np.isin(contactor.blocks, target.surface.blocks)
+        if shared.any():
+            X = ", ".join(f"{x:.4g}" for x in contactor.X[shared][0])
+            raise ValueError(
+                f"{self.name}: contactor (tag {self.contact.contactor.tag}) and target ({self.contact.target_name}) share "
+                f"the node at X = ({X}): the bodies are joined there; give each its own nodes, or leave its facets out"
+            )
+
+    def _redundant(self, contactor: Array, place: Array | None = None) -> Bool:
+        """(nf, nodes, components) where the relative displacement is prescribed, so that the multiplier has nothing to
+        enforce: on the contactor and, if the target is deformable, where that is opposite and near, or wherever it lies in a
+        plane of symmetry. `contactor` (nf, nodes, gdim) and `place` (nodes, gdim): nodes of both (m), the target's by
+        default undeformed."""
+        fixed = self._fixed.copy()
+        facet, node = np.nonzero(fixed.any(axis=2))
+        if isinstance(self.target, DeformableTarget) and len(facet):
+            points = IntegrationPoints(self.facets, facet, self.facets.shape.nodes[node], np.ones(len(facet)), 1.0)
+            nodes, here = self.target.surface.X if place is None else place, contactor_points(points, contactor)
+            at, near = self.target.opposite(here, nodes)
+            free = ~self.target.fixed[self.target.facets[at.facet]]
+            given = np.einsum("nk,nki->ni", np.abs(self.target.weights(at)), free) < SMALL
+            planes = self.target.holds_plane(self.facets.X[facet, node])
+            if self.target.is_contactor:  # whose own clamped face may be plane
+                planes &= ~np.asarray(fixed[facet, node].all(axis=1))[:, None]
+            fixed[facet, node] &= (near[:, None] & given) | planes
+        return fixed if self.friction else np.asarray(fixed.all(axis=2, keepdims=True))
+
+    def _leave_out_redundant(self, contactor: Array, place: Array | Pose) -> bool:
+        """In statics, let go of the multiplier's nodes that have nothing to enforce with the bodies' nodes at `contactor` and
+        `place`, and take those up that have; whether that is a change (collective). Time steps need one space of
+        multipliers."""
+        if not self._may_be_redundant or isinstance(self.kinematics, StepLevel) or not isinstance(place, np.ndarray):
+            return False
+        redundant = self._redundant(contactor, place)
+        if not self.multiplier.leave_out(redundant):
+            return False
+        self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))
+        self.blocks.renew()
+        self.active.renew()
+        self._read_multiplier()
+        return True
+
+    def nodal_values(self, u: fem.Function) -> Array:
+        """(n, gdim) values of a Function of one of the bodies at those of its nodes that the pair's forces act on: of this
+        rank's contactor and of the whole target (collective)."""
+        mine = [self._at_nodes(u)] if u.function_space is self._body1.space else []
+        if isinstance(self.target, DeformableTarget) and self.target.is_of(u):
+            mine.append(self.target.at_nodes(u))
+        return np.concatenate([values.reshape(-1, self.gdim) for values in [np.zeros((0, self.gdim)), *mine]])
+
+    def set_stiffness(self, diagonals: Sequence[fem.Function]) -> None:
+        """Fix ε by what the bulk has at the two surfaces, from diagonals (N/m) of the bodies' matrices."""
+        #: the contactor's and the target's (Pa/m)
+        self.stiffnesses = contactor, target = self._stiffnesses(diagonals)
+        c = self.contact
+        sides = [c.contactor, c.target] if isinstance(c.target, Surface) else [c.contactor]
+        self.stiffness_ratio = 0.0 if any(side.is_membrane for side in sides) else contactor / target
+        self.set_law(min(contactor, target), SOFTER, SOFTER)
+        self._hold_smooth()
+
+    @property
+    def force_round_off(self) -> float:
+        """What ε makes of the round-off of positions (N): of nodal forces on all facets, which add up at random."""
+        ε = max(self.epsilon.normal, self.epsilon.tangential)
+        return float(ε * self.kinematics.round_off * self.area / np.sqrt(self._facet_count))
+
+    def surface_stiffness(self, diagonals: Sequence[fem.Function]) -> float:
+        """The softer side's mean nodal stiffness per facet area (Pa/m), from diagonals (N/m) of the bodies' matrices."""
+        return min(self._stiffnesses(diagonals))
+
+    def _stiffnesses(self, diagonals: Sequence[fem.Function]) -> tuple[float, float]:
+        """The contactor's and the target's mean nodal stiffness per facet area (Pa/m)."""
+        mine = next(d for d in diagonals if d.function_space is self._body1.space)
+        own = self._at_nodes(mine).mean(axis=(1, 2)) / self.integration.sum_by_facet(self.j)
+        contactor = sum_over(self.comm, float(own.sum())) / self._facet_count
+        target = self.target.stiffness(diagonals, self.thickness)
+        for side, stiffness in (
+            (f"contactor (tag {self.contact.contactor.tag})", contactor),
+            (f"target ({self.contact.target_name})", target),
+        ):
+            if not stiffness > 0:
+                why = "has no internal virtual work on its cells, or with the wrong sign"
+                if np.isnan(stiffness):
+                    why = "or its derivative is not a number there: a division by zero, a root or logarithm of too little?"
+                raise ValueError(
+                    f"{self.name}: the {side} meets a stiffness of {stiffness:.3g} Pa/m in the start state: F {why}"
+                )
+        return contactor, target
+
+    def set_law(self, stiffness: float, tangential: float, normal: float) -> None:
+        """Fix ε_T and ε_N: the user's, or shares `tangential` and `normal` of the bulk's `stiffness` at the two surfaces
+        (Pa/m)."""
+        self.stiffness, self.unit = stiffness, tangential * stiffness
+        self._use_epsilon(normal * stiffness, self.unit)
+
+    def _use_epsilon(self, normal: float, tangential: float, more: float = 0.0) -> None:
+        """Fix the law by these ε_N and ε_T (Pa/m), or the user's, and by what the pressure adds to either."""
+        c = self.contact
+        εN = (normal if c.epsilon_normal is None else c.epsilon_normal) + more
+        εT = (tangential if c.epsilon_tangential is None else c.epsilon_tangential) + more
+        self.epsilon = Augmentation(εN, εT)
+        # the residual of an open point, ν λ_N/ε_N − λ_T/ε_T, turns with ν unless ε_N = ε_T
+        self._same_ε = εN == εT or not self.friction
+        self.law: Frictionless | Coulomb = Frictionless(self.epsilon)
+        if self.friction:
+            self.law = Coulomb(self.epsilon, self.friction_coefficient, noise=εT * self.kinematics.round_off)
+
+    def _hold_flat(self) -> None:
+        """Let ε grow with the pressure p where that comes near a body's moduli: on the slope of a ripple as long as a facet,
+        which multipliers of a lower order than the displacement do not see, p acts along the surface, and only the body and ε
+        resist it (collective; docs/newton.md). Segments see it, obstacles have no ripples, and membranes have tension."""
+        sees = self.contact.multiplier_order == self.facets.shape.order or self.is_segmented
+        if sees or self.stiffness_ratio == 0.0 or isinstance(self.kinematics, StepLevel):
+            return
+        p = np.maximum(self._normal_multiplier(), 0.0)
+        slopes = [(self.j * p) @ (p / extents) for extents in self._extents()]
+        *slopes, force = sum_over(self.comm, np.array([*slopes, self.j @ p]))
+        excess = 0.0
+        if force > 0:
+            excess = max(slope / force - OWN * k for slope, k in zip(slopes, self.stiffnesses, strict=True))
+        self.is_pressed_hard = excess > 0.0
+        self._use_epsilon(self.unit, self.unit, RIPPLING * max(0.0, excess))
+
+    def _hold_smooth(self) -> None:
+        """Hold a multiplier smooth where the contactor is finer than the target, in statics: membranes yield otherwise, and
+        surfaces in contact with themselves are alike (collective)."""
+        others = self.target.is_rigid or self.target.is_contactor or self.stiffness_ratio == 0.0
+        self.blocks.leave_rough()
+        if others or self.target.fixed.all():
+            return
+        faced, rigid = self._faced_extents(self.gauss), np.asarray(self.blocks.fixed.all(axis=(1, 2)))
+        length = float(np.mean(self._contactor.areas() ** (1.0 / self.facets.shape.dim)))
+        moduli = self.stiffnesses[0] * length, self.stiffnesses[1] * float(np.mean(self.target.extents))
+        own = self.facets.areas() ** (1.0 / self.facets.shape.dim)
+        κ = lacking_compliance(self.multiplier, self.target, own, faced, moduli, rigid)
+        if any_over(self.comm, κ.any()):
+            self.blocks.hold_smooth(κ, ZoneWidth(self._contactor, self._own, self.target.spacing * faced, self.comm))
+
+    def far_off(self) -> dict[str, float]:
+        """The augmentation parameters that are a user's and more than FAR times more or less than the bulk suggests, over
+        that."""
+        given = {name: getattr(self.contact, name) for name in ("epsilon_normal", "epsilon_tangential")}
+        ratios = {name: ε / self.unit for name, ε in given.items() if ε is not None}
+        return {name: ratio for name, ratio in ratios.items() if not 1 / FAR < ratio < FAR}
+
+    def far_augmentation(self) -> list[Finding]:
+        """A finding for each of :meth:`far_off` while anything is closed (collective)."""
+        far = self.far_off()
+        if not far or self.closed_fraction() == 0.0:
+            return []
+        return [
+            Finding(f"{self.name}: {name} over what the bulk suggests", k, (), DEPENDS, False)
+            for name, k in far.items()
+        ]
+
+    @property
+    def friction_coefficient(self) -> float:
+        """Coulomb's coefficient as it is now."""
+        return coefficient(constant_value(self.contact.friction))
+
+    def _doubt(self, μ: float) -> None:
+        """Say once of a coefficient that it is more than that of any surfaces, on rank 0."""
+        if μ > ROUGHEST and not self._doubted and self.comm.rank == 0:
+            warn(
+                f"{self.name}: friction = {μ:g}: of steel it is 0.1 to 0.8, rubber reaches 4; 30 % are written 0.3, an angle "
+                "of friction φ is np.tan(φ). The march goes on with it, and next to nothing will slide",
+            )
+        self._doubted |= μ > ROUGHEST
+
+    def start(self) -> None:
+        """Project for the first time; slip is counted from the present state. Points that touch count as closed.
+
+        Raises:
+            ValueError: on every rank, if contactor and target face the same way all over: one is the wrong side.
+        """
+        k = self.kinematics
+        self.target.refresh()
+        none = np.zeros(self.facets.size, dtype=bool), np.zeros(len(self.target.facets), dtype=bool)
+        self._converged = Converged(k.nodes(), self.target.place, *none)
+        self.follow_segments()
+        k.set_history(self.target.closest(k.positions()).point)
+        k.evaluate()
+        k.commit(None, np.full(k.points.size, OPEN, dtype=np.int8))
+        self._divide()
+        self.active.closed = self.touches()
+        self.active.begin(self._converged.closed[self.integration.facet])
+        self.evaluate()
+        self._remember()
+        self._check_sides()
+
+    def _divide(self) -> None:
+        """Of a surface in contact with itself, choose which parts are contactor. Multipliers of a lower order than the
+        displacement are determined by the contactor's side of a crease alone: the target's, open, would pull them to zero."""
+        if isinstance(self.target, SelfTarget):
+            points, closed = self.integration, self.active.closed
+            if self.target.divide(points.facet, self.kinematics.faced, closed, self.comm):
+                self.kinematics.evaluate()
+            if self.contact.multiplier_order < self.facets.shape.order:
+                carries = self.target.role[self.target.own] == 0
+                self.blocks.left_out = self.multiplier.touched(carries) & ~carries[:, None]
+
+    def _check_sides(self) -> None:
+        """Contactor and target must face each other somewhere, if they are near each other at all."""
+        if self.target.is_contactor:
+            return
+        k, comm = self.kinematics, self.comm
+        closest = self.target.closest(k.x)
+        same_way = np.einsum("ni,ni->n", k.contactor().normal, closest.ν) > 0.5
+        facing = sum_over(comm, int(closest.facing.sum()))
+        if facing and sum_over(comm, int((closest.facing & same_way).sum())) == facing:
+            raise ValueError(
+                f"{self.name}: the target ({self.contact.target_name}) faces away from the contactor "
+                f"(tag {self.contact.contactor.tag}) everywhere: pass the side of the body that faces it"
+            )
+
+    def check_behind(self) -> None:
+        """Refuse a contactor whose body lies behind the target altogether (collective): it has gone through, or the target's
+        outward side is the other one. A membrane may lie up to a target facet behind, as an overlap to be resolved.
+
+        Raises:
+            ValueError: on every rank.
+        """
+        if self.target.is_contactor:
+            return
+        k, comm, membrane = self.kinematics, self.comm, self.contact.contactor.is_membrane
+        if min_over(comm, float(self._depth(k.x).min(initial=np.inf))) < -k.touch:
+            return
+        body, d = self._body1, self.gdim
+        mine = np.isin(
+            body.piece, sorted(set().union(*comm.allgather(set(body.piece[self.facets.dofs].ravel().tolist()))))
+        )
+        x = body.space.tabulate_dof_coordinates()[:, :d] + body.u.x.array.reshape(-1, d)
+        depth = self._depth(x[mine])
+        least = min_over(comm, float(depth.min(initial=np.inf)))
+        deepest = max_over(comm, float(depth.max(initial=-np.inf)))
+        if least >= -k.touch and deepest > (self.target.size if membrane else k.touch):
+            raise ValueError(
+                f"{self.name}: the contactor (tag {self.contact.contactor.tag}) lies with its whole body behind the target "
+                f"({self.contact.target_name}): move it to the other side, or turn the target's normal round"
+            )
+
+    def _depth(self, x: Array) -> Array:
+        """(n,) how far positions 𝐱 (n, gdim) lie behind the target's closest point (m), −∞ where they face none."""
+        closest = self.target.closest(x)
+        return np.where(closest.facing, closest.g, -np.inf)
+
+    # ---------------------------------------------------------------- state
+
+    def begin(self) -> None:
+        """A new solve."""
+        if isinstance(self.law, Coulomb):
+            self.law = replace(self.law, μ=self.friction_coefficient)
+            self._doubt(self.law.μ)
+        self._leave_out_redundant(self._converged.nodes, self._converged.place)
+        self._hold_flat()
+        self.blocks.holds_facets = False
+        self._hold_shares(False)
+        self._divide()
+        self.active.begin(self._converged.closed[self.integration.facet])
+        if self.target_end is not None:
+            self._hold_to_target(self.target_end)
+        self._again = AGAIN
+        self.begin_again()
+
+    def follow_again(self) -> bool:
+        """A state has converged: AGAIN times in a solve, let points that rest though the target's end has moved follow it
+        once more, and choose the multiplier's nodes anew; whether anything is another now (collective). Where cuts alone have
+        moved, as those of segments, it does not matter, nor does it help where they move on farther each time."""
+        segments = self.segments
+        if self._again == 0:
+            return False
+        chosen = self._leave_out_redundant(self.kinematics.nodes(), self.target.place)
+        follows = segments is not None and bool(segments.settles) and segments.lags and not segments.diverges
+        if not (chosen or follows):
+            return False
+        self._again -= 1
+        if follows:
+            self.begin_again()
+        self.evaluate()
+        return True
+
+    def begin_again(self) -> None:
+        """A solve goes on elsewhere: segments follow closely, as at its start."""
+        if self.segments is not None:
+            self.segments.begin()
+
+    def evaluate(self) -> None:
+        """Projection, slip and law at the displacements and the multiplier field; ghosts are up to date."""
+        with self.stopwatch("projection"):
+            if not self.holds_points:
+                self.follow_segments()
+            self._project()
+        with self.stopwatch("contact"):
+            self._read_multiplier()
+            self.apply_law()
+
+    def _project(self) -> None:
+        """Projection and slip; in statics a solve holds points to the target beyond its end, unless they follow it."""
+        self.kinematics.evaluate()
+        if self.target_end is None:
+            return
+        if self.segments is not None and not self.holds_points:
+            self._hold_to_target(self.target_end)
+        else:
+            self.target_end.hold(self.kinematics)
+
+    def _hold_to_target(self, end: TargetEnd) -> None:
+        """From now on the points that face the target, on facets that were in contact, do so beyond its end, too."""
+        end.begin(self.kinematics.at.facing & self._converged.closed[self.integration.facet])
+
+    def let_go(self) -> bool:
+        """Let points beyond the target's end go, on whatever rank; whether there are any (collective)."""
+        gone = self.target_end is not None and self.target_end.let_go()
+        if not any_over(self.comm, gone):
+            return False
+        self._project()
+        return True
+
+    def _read_multiplier(self) -> None:
+        """The multiplier field at the points, in frames that the kinematics hold."""
+        if self.kinematics.normals is not None:
+            self.blocks.turn(self.kinematics.normals)
+        self._Λ = self.blocks.multiplier_at_points()
+
+    def follow(self) -> bool:
+        """At the start of an iteration: let the kinematics choose anew what they hold; whether it changed (collective)."""
+        changed = self.kinematics.follow()
+        if changed:
+            self._read_multiplier()
+        return changed
+
+    def follow_segments(self) -> bool:
+        """Let the segments follow the bodies, as far as points may move: all that is kept at points moves along. Whether they
+        did on this rank; the pair is to be evaluated then."""
+        if self.segments is None or isinstance(self.kinematics, StepLevel):
+            return False
+        self.target.refresh()
+        before, points = self.integration, self.segments.follow(self.kinematics.nodes(), self.target.nodes)
+        if points is not None:
+            self._adopt(points)
+        return self.integration is not before
+
+    def begin_step(self) -> None:
+        """A time step starts from the present displacements. Segments follow the bodies on facets without a closed point; on
+        the others they stay, as points that move under pressure would give energy (``docs/impact.md``)."""
+        level = self.kinematics
+        assert isinstance(level, StepLevel)
+        if self.segments is not None:
+            self.target.refresh()
+            self.segments.forget()
+            points = self.segments.follow(level.nodes(), self.target.nodes)
+            assert points is not None
+            held = self.integration.sum_by_facet(self.active.closed.astype(float)) > 0
+            self._adopt(self.integration.spliced(points, held))
+            self.evaluate()
+            if not self.active.guessed:
+                level.excuse(*self._decided())
+        level.begin(*self._decided())
+
+    def _decided(self) -> tuple[Bool, Array]:
+        """(n,) which points are closed; (n,) the penetration (m) from which eq. (1) closes each, multipliers as they are."""
+        return self.state.status != OPEN, np.asarray(-self._normal_multiplier() / self.epsilon.normal)
+
+    def _adopt(self, points: IntegrationPoints) -> None:
+        """Integrate at these points from now on (collective in time steps)."""
+        if points is self.integration and not isinstance(self.kinematics, StepLevel):
+            return
+        origin = self.integration.nearest(points.facet, points.η)
+        self.integration = points
+        before = self._converged
+        assert isinstance(before.place, np.ndarray)  # a rigid target has no segments
+        self.kinematics.take(points, origin, before.nodes, before.place)
+        self.blocks.take(points)
+        self.active.transfer(origin)
+        if self.target_end is not None:
+            self.target_end.transfer(origin)
+
+    def _remember(self) -> None:
+        """Keep where the bodies' nodes are: slip is counted from there, wherever points will be; and what is in contact."""
+        k, closed = self.kinematics, self.active.closed
+        own, faced = np.zeros(self.facets.size, dtype=bool), np.zeros(len(self.target.facets), dtype=bool)
+        own[self.integration.facet[closed]], faced[k.at.point.facet[closed]] = True, True
+        self._converged = Converged(k.nodes(), self.target.place, own, faced)
+
+    def apply_law(self) -> None:
+        """What eq. (1) says with the active set as it is."""
+        k, active = self.kinematics, self.active
+        if self.blocks.leave_out_at_corners(active.closed):
+            self._Λ = self.blocks.multiplier_at_points()
+        self.blocks.smooth(active.closed & k.at.facing, k.share > UNCOVERED)
+        self.state = self.law.evaluate(self._Λ, k.at, k.s, active.closed, active.frozen, active.held)
+
+    def decide(self, residual: PETSc.Vec) -> bool:
+        """Let the active set change, once per Newton iteration; whether any point did, on any rank."""
+        changed = self.active.decide(self.state, self.kinematics, residual, self.unit, self.epsilon.normal)
+        return any_over(self.comm, changed)
+
+    @property
+    def obstacle_moves(self) -> bool:
+        """Whether the target is a rigid obstacle that is elsewhere than in the last converged state."""
+        return isinstance(self.target, RigidTarget) and not self.target.is_at(self._converged.place)
+
+    def hold_facets(self) -> bool:
+        """Let what opening and closing decides for whole facets, which are held smooth and which have a part in a sharp
+        corner, and how much points count that see the target at a slant, be as it is from now on in a solve; whether there
+        may be any that are not held yet."""
+        decides = self.blocks.is_smoothing or self.blocks.corners is not None or self.segments is not None
+        new = decides and not self.blocks.holds_facets
+        self.blocks.holds_facets = True
+        self._hold_shares(True)
+        return new
+
+    def _hold_shares(self, holds: bool) -> None:
+        if isinstance(self.kinematics, PositionLevel):
+            self.kinematics.holds_shares = holds
+
+    def hold_turned(self) -> bool:
+        """Let points stick that slip to and fro, once per Newton iteration; whether there are any, on any rank."""
+        return self.friction and any_over(self.comm, self.active.hold_turned(self.state))
+
+    def decisions(self) -> Decisions:
+        """What these two may change, and at which points."""
+        return self.integration, self.active.snapshot()
+
+    def undo_decisions(self, saved: Decisions) -> None:
+        """Take decisions back; segments may have moved since."""
+        points, decisions = saved
+        self.active.restore(decisions, points.nearest(self.integration.facet, self.integration.η))
+
+    def violation(self) -> float:
+        """Largest |λ̂_N| (Pa) at a point that is closed or open against eq. (1), or excess of |λ̂_T| over the friction bound at
+        one that is held, as a share of the largest pressure (collective)."""
+        wrong = self.active.at_odds(self.state, self.kinematics, self.epsilon.normal) + self.active.beyond(self.state)
+        worst = max_over(self.comm, float(wrong.max(initial=0.0)))
+        return worst / max(self.largest_pressure(), 1e-300) if worst > 0 else 0.0
+
+    def misses_most(self) -> bool:
+        """Whether points that slid off in this solve, and penetrate the target now, would bear more than all others do: no
+        flicker of the last one on the target (collective)."""
+        lost = self.active.lost(self.state, self.kinematics)
+        beyond = np.maximum(self.state.λN_hat - self.epsilon.normal * self.kinematics.touch, 0.0)
+        missed, borne = sum_over(self.comm, np.array([self.j @ np.where(lost, beyond, 0.0), self.j @ self.state.p]))
+        return bool(missed > max(borne, 0.0))
+
+    def relative_motion(self) -> float:
+        """How far the present displacements have moved closed points over the target since the last evaluation, in
+        target facets (collective)."""
+        k = self.kinematics
+        if isinstance(k, StepLevel):  # the length of a time step is a better guard
+            return 0.0
+        self.target.refresh()
+        moved = self.target.positions(k.at.point, k.at.N) - k.at.y
+        size = np.linalg.norm(k.positions() - k.x - moved, axis=1)[self.state.status != OPEN]
+        return max_over(self.comm, float(size.max(initial=0.0))) / self.target.size
+
+    def slid(self) -> Array:
+        """(n, gdim) how far points have slid over the target in this step (m); 0 where they stick or are open."""
+        state, ε = self.state, self.law.ε
+        if state.λT_hat is None or state.bound is None:
+            return np.zeros_like(self.at.ν)
+        size = np.maximum(np.linalg.norm(state.λT_hat, axis=1), 1e-300)
+        beyond = np.where(state.status == SLIP, 1.0 - state.bound / size, 0.0)
+        return np.asarray(beyond[:, None] * state.λT_hat / ε.tangential)
+
+    def apart(self) -> Array:
+        """(n, gdim) 𝐱 − 𝐲 at the present displacements (m), 𝐲 the point of the target that was faced at the last evaluation
+        (collective)."""
+        self.target.refresh()
+        return self.kinematics.positions() - self.target.positions(self.kinematics.at.point, self.kinematics.at.N)
+
+    def touches(self) -> Bool:
+        """(n,) which points touched or overlapped at the last evaluation."""
+        k = self.kinematics
+        return np.asarray(k.may_close & (k.at.g >= -k.touch))
+
+    def round_off_energy(self) -> float:
+        """What ε_N makes of gaps that are round-off of the coordinates (J): bodies that touch and do not press have it."""
+        return float(self.epsilon.normal * self.area * self.kinematics.touch**2)
+
+    # ---------------------------------------------------------------- steps
+
+    def use_steps(self) -> StepLevel:
+        """Take the kinematics of time steps, for impact; there the multiplier's space is one and the same in all steps, which
+        the balance of energy needs: corners' nodes keep all of their facets."""
+        if not isinstance(self.kinematics, StepLevel):
+            self._leave_ends()
+            if self.segments is not None:
+                self.segments.fills = np.zeros_like(self.segments.fills)
+            self.target_end = None
+            self.blocks.keep_at_corners()
+            self.blocks.leave_rough()
+            self.kinematics = StepLevel(self.kinematics)
+            self.active.cautious = False
+            self.set_law(self.stiffness, FIRMER, FIRMEST)
+        return self.kinematics
+
+    def _leave_ends(self) -> None:
+        """Gauss points of whole facets from now on, as points that move under pressure would give energy."""
+        if self.segments is not None and not self.is_segmented:
+            self.segments = self._committed = None
+            self._adopt(self.gauss)
+            self.evaluate()
+
+    def unfelt(self) -> list[Finding]:
+        """What contact has not felt, or hardly: surfaces that a step has carried through each other, overlaps between the
+        integration points, and in contact in statics, patches and ripples. In motion they are told, and a step fails for
+        points alone that have passed (collective)."""
+        if self._unfelt is None:
+            c = self.contact
+            surface = c.target if isinstance(c.target, Surface) else None
+            self._unfelt = Unfelt(c.contactor, self.facets, self.target, surface, self._bodies, self.name)
+        k, closed = self.kinematics, self.state.status != OPEN
+        moves = isinstance(k, StepLevel)
+        found = self._unfelt.look(self.integration, k.contactor(), k.at, closed, self._converged, known=moves)
+        if moves:
+            return [replace(finding, fatal=False) for finding in found]
+        hardly = self.overlap_in_contact(), self.patches(), self.ripples()
+        return [*found, *(finding for finding in hardly if finding is not None)]
+
+    def is_pressed(self) -> bool:
+        """Whether a closed point of this rank has a multiplier: it is not of bodies that only touch."""
+        return bool((self._normal_multiplier()[self.active.closed] != 0.0).any())
+
+    def was_in_contact(self) -> bool:
+        """Whether a facet of this rank was in contact in the last converged state."""
+        return bool(self._converged.closed.any())
+
+    def commit(self) -> None:
+        """The step has converged: it becomes the origin of the next one's slip, but for what multipliers of the nodes do not
+        see of it, which acts on at each point by ε_T: forgotten in each step, it would let stuck points creep."""
+        self._committed = self.integration, self.state, self.kinematics.s
+        law = self.law
+        unspent = law.unspent(self.state, self.kinematics.at) if isinstance(law, Coulomb) else None
+        self.kinematics.commit(unspent, self.state.status)
+        if isinstance(self.kinematics, StepLevel):
+            self.kinematics.excuse(*self._decided())
+        self._remember()
+        self._committed_at = self._converged.nodes
+        self.multiplier.extend()
+        self._end_solve()
+        self.active.guessed = False
+
+    def show_committed(self) -> None:
+        """After going back to the last step that was committed: its results as they were then, with the slip from the step
+        before (collective). Where the state is another one, as that of a checkpoint, slip is zero."""
+        if self._committed is None or any_over(
+            self.comm, not np.array_equal(self._committed_at, self._converged.nodes)
+        ):
+            self.evaluate()
+            return
+        points, state, s = self._committed
+        if self.segments is not None and not isinstance(self.kinematics, StepLevel):
+            self._adopt(points)
+            self.kinematics.evaluate()
+            self._read_multiplier()
+        self.state, self.kinematics.s = state, s
+
+    def slip_from_touch(self, ratio: float) -> None:
+        """In statics, count the slip of open points in the next step from where they touch, as
+        :meth:`PositionLevel.slip_from_touch` (collective)."""
+        if self.friction and isinstance(self.kinematics, PositionLevel):
+            self.kinematics.slip_from_touch(ratio)
+            self.apply_law()
+
+    def _end_solve(self) -> None:
+        if self.target_end is not None:
+            self.target_end.end()
+
+    def snapshot(self) -> dict[str, Array]:
+        """All that a step may change, by name; see :class:`~dolfinx_mortar_al.problem.Snapshot`."""
+        arrays = {
+            "multiplier": self.multiplier.field.x.array.copy(),
+            "guessed": np.array(self.active.guessed),
+        }
+        arrays |= self._state_at_points()
+        before = self._converged
+        arrays |= {name: getattr(before, name).astype(float) for name in ("nodes", "closed", "faced")}
+        if isinstance(before.place, np.ndarray):
+            arrays["target"] = before.place.copy()
+        if isinstance(self.target, SelfTarget):
+            arrays["role"] = self.target.role.copy()
+        if isinstance(self.target, RigidTarget):
+            pose = self.target.obstacle.pose
+            arrays |= {"translation": pose.translation, "rotation": pose.rotation}
+        return arrays
+
+    def restore(self, saved: dict[str, Array]) -> None:
+        """Back to a snapshot, at displacements that have been set before; Newton expects the active set that λ̂_N says."""
+        self.multiplier.field.x.array[:] = saved["multiplier"]
+        self.active.guessed = bool(saved["guessed"])
+        if isinstance(self.target, SelfTarget):
+            self.target.role = saved["role"].astype(np.int64)
+        if isinstance(self.target, RigidTarget):
+            self.target.obstacle.pose = Pose(saved["translation"], saved["rotation"])
+        place = saved["target"].copy() if "target" in saved else self.target.place
+        was = (saved[name].astype(bool) for name in ("closed", "faced"))
+        self._converged = Converged(saved["nodes"].copy(), place, *was)
+        self.target.refresh()
+        λN_hat = self._restore_at_points(saved)
+        self._leave_out_redundant(self._converged.nodes, place)
+        self._end_solve()
+        self.kinematics.evaluate()
+        self.active.expect(λN_hat, self.kinematics, self.epsilon.normal)
+        self._read_multiplier()
+        self.apply_law()  # a snapshot may be the next thing that is taken
+
+    def _state_at_points(self) -> dict[str, Array]:
+        """Where the points are, what they slip from, and λ̂_N (Pa) for the active set: in statics at the Gauss points of whole
+        facets, as it is extrapolated from states with points elsewhere."""
+        points, k = self.integration, self.kinematics
+        moved = points is not self.gauss and not isinstance(k, StepLevel)
+        return {
+            "points_λN_hat": self._λN_hat_at_gauss() if moved else self._expected(),
+            "points_facet": points.facet.astype(float),
+            "points_η": points.η.copy(),
+            "points_weight": points.weight.copy(),
+        } | {f"points_{name}": values for name, values in k.history_at_points().items()}
+
+    def _restore_at_points(self, saved: dict[str, Array]) -> Array:
+        """Points, and what they slip from, as in a snapshot; (n,) λ̂_N there (Pa)."""
+        λN_hat, k = saved["points_λN_hat"], self.kinematics
+        if self.segments is not None:
+            facet, η, weight = (saved[f"points_{name}"].copy() for name in ("facet", "η", "weight"))
+            points = IntegrationPoints(self.facets, facet.astype(np.int64), η, weight, self.thickness)
+            self._adopt(self.gauss if np.array_equal(η, self.gauss.η) else points)
+            self.segments.forget()
+            if not isinstance(k, StepLevel):
+                λN_hat = λN_hat[self.gauss.nearest(points.facet, points.η)]
+        k.restore_history({name.removeprefix("points_"): values for name, values in saved.items()})
+        return λN_hat
+
+    def _expected(self) -> Array:
+        """(n,) λ̂_N (Pa), from which the active set is restored: −∞ at points that time steps leave open whatever it says."""
+        λN_hat, held = self.state.λN_hat, isinstance(self.kinematics, StepLevel)
+        return np.where(self.active.closed, λN_hat, -np.inf) if held else λN_hat.copy()
+
+    def _λN_hat_at_gauss(self) -> Array:
+        """(ng,) λ̂_N (Pa) at the Gauss points, which stay where they are while segments move."""
+        points = self.gauss
+        at = self.target.project(contactor_points(points, self.kinematics.nodes()))
+        nodal, out = self.multiplier.own_nodal(), self.blocks.left_out_at_corners
+        nodal = nodal if out is None else np.where(out[:, :, None], 0.0, nodal)
+        Λ = (self.multiplier.at(points.facet, points.η) * nodal[points.facet]).sum(axis=1)
+        λN = np.einsum("ni,ni->n", at.ν, Λ) if self.contact.friction else Λ[:, 0]
+        return augmented_normal(λN, at.g, self.epsilon)
+
+    # ---------------------------------------------------------------- element arrays
+
+    def multiplier_residual(self) -> tuple[Index, Array]:
+        """∫ r·N1 Λ* dS₀, eq. (4), as :meth:`Blocks.multiplier_residual`."""
+        return self.blocks.multiplier_residual(self.state, self.kinematics.share)
+
+    def body_residual(self, *, reactions: bool = False) -> list[tuple[Index, Array]]:
+        """−∫ t·(N1 U1* − N2(η) U2*) dS₀, eq. (4), as :meth:`Blocks.body_residual`."""
+        return self.blocks.body_residual(self.state, self.kinematics, reactions=reactions)
+
+    def _act(self) -> Index:
+        """Points whose derivative is not that of an open point with ε_N = ε_T, or a ν that is held, and with a share that
+        stays."""
+        n, same = self.integration.size, self._same_ε or self.kinematics.normals is not None
+        if not same:
+            return np.arange(n)
+        act, k = self.state.status != OPEN, self.kinematics
+        if isinstance(k, PositionLevel) and k.beyond < 1.0:
+            act = act | k.slanted
+        return np.flatnonzero(act)
+
+    def tangent(self) -> Tangent:
+        """Contact's share of the Jacobian, eq. (6)."""
+        return self.blocks.tangent(self.law, self.state, self._Λ, self.kinematics, self._act())
+
+    def tangent_of_cuts(self) -> CutTangent | None:
+        """What points that move with the target's end add to it, where they do."""
+        k, segments = self.kinematics, self.segments
+        if self.holds_points or not isinstance(k, PositionLevel) or segments is None or segments.rest:
+            return None
+        return tangent_of_cuts(self.blocks, self.law, self.state, self._Λ, k)
+
+    def couples(self, near: bool = False) -> Index:
+        """Where the matrices have entries now, as :meth:`Blocks.couples`; with `near` also where they might have soon, for
+        points that face the target within NEAR of its facets."""
+        act = self._act()
+        if near:
+            at = self.kinematics.at
+            act = np.union1d(act, np.flatnonzero(at.facing & (np.abs(at.g) <= NEAR * self.target.size)))
+        return self.blocks.couples(self.kinematics, act)
