@@ -18,7 +18,7 @@ from dolfinx_mortar_al.friction_bounds import FrictionBounds
 from dolfinx_mortar_al.linear_solver import EXTERNAL, LinearSolver
 from dolfinx_mortar_al.load import Load
 from dolfinx_mortar_al.places import Places
-from dolfinx_mortar_al.problem import ContactProblem, check_problem
+from dolfinx_mortar_al.problem import TOLD, ContactProblem, check_problem
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.ties import PUSHED
@@ -144,14 +144,24 @@ class NewtonSolver:
         With `path` the load is an unknown too, and the present displacements are the prediction of the path.
         """
         self.problem.given.check()
+        ties, before = self.problem.ties, None
+        if ties is not None and ties.may_act:
+            before = self.problem.snapshot()
         with self.linear.options:
-            result = self._solve(path)
+            result = self._solve(path, may_trust=before is not None)
+            if before is not None and ties is not None and not result.converged and ties.trusts[0]:
+                self.problem.restore(before)  # they do not hold: tied after all
+                ties.trusts[:] = False
+                iterations = result.iterations
+                result = self._solve(path)
+                result.iterations += iterations
         self.linear.say_unread()
         return result
 
-    def _solve(self, path: Path | None) -> NewtonResult:
-        """Solve, with PETSc's options in place."""
+    def _solve(self, path: Path | None, *, may_trust: bool = False) -> NewtonResult:
+        """Solve, with PETSc's options in place; whether it `may_trust` the elasticity of bodies, see :class:`Ties`."""
         p, self._path = self.problem, path
+        self._may_trust = may_trust
         self.linear.begin()
         self.result = NewtonResult()
         self._patterns: list[int] = []
@@ -404,10 +414,14 @@ class NewtonSolver:
 
         resisted, little = places.resist(bear, length), bool(np.all(bear.borne <= bearable))
         on = places.follow(bear, bear.rubs & ~driven, p.dragged, length, first=resisted) if little else None
-        if float(bear.borne.max()) <= self.rtol or (on is None and not resisted and little):
+        borne = float(bear.borne.max())
+        accepted = borne <= self.rtol or (on is None and not resisted and little)
+        if accepted and not self._trusts_elasticity(borne, measures=iteration > 0):
             ties.borne = bear.borne
             return False
-        if not resisted:  # what one side alone presses on is pushed away from it, along its surface
+        if accepted:
+            on = bear.along
+        elif not resisted:  # what one side alone presses on is pushed away from it, along its surface
             ties.let_be |= bear.alone & bear.rubs
         softer = (
             on is None
@@ -419,13 +433,26 @@ class NewtonSolver:
             on = bear.along
         elif on is None:
             on = places.onwards(bear, resisted, length)
-        if iteration > 0:
+        if iteration > 0 and not accepted:
             p.measure_ties(self.linear.response)
         if p.move_ties(self.snes.getFunction()[0], bear.along - on, softer=softer):
             places.forget()
         self._moves += 1
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         return True
+
+    def _trusts_elasticity(self, borne: float, *, measures: bool) -> bool:
+        """Whether ties that bear so much are let go in a state that would be accepted, as bodies deform along them and
+        resist: asked once in a solve, where it is more than is left unsaid."""
+        p, ties = self.problem, self.problem.ties
+        if ties is None or not self._may_trust or borne <= TOLD:
+            return False
+        self._may_trust = False
+        if measures:
+            p.measure_ties(self.linear.response)
+        elastic = ties.elastic_ones()
+        ties.trusts[:] |= elastic
+        return elastic
 
     def _guard(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Shorten the step x ← x − y until no cell is inverted and no closed point slides too far."""

@@ -7,13 +7,16 @@ they do so without inertia, each node slowed by a dashpot of the body's own noda
     R(u) + contact + k u̇ = 0,
 
 in implicit Euler steps of length 1/δ: R(u) + contact + δ k (u − uₙ) = 0. With δ = 1 a node is held about as firmly by where
-it was as by its neighbours, so that Newton has little to do; each easy step is followed by a longer one. One that fails, or
-has a fatal finding, such as a surface that has passed through another, is undone and taken shorter. When steps are so long
-that dashpots bear next to nothing, the last one is without. If there is no friction it is steepest descent of the energy in
-the norm of k: no unstable equilibrium stops it for long.
+it was as by its neighbours, so that Newton has little to do; each easy step is followed by a longer one, and so is one that
+moves the bodies less than the step before, as they come to rest. One that fails, or has a fatal finding, such as a surface
+that has passed through another, is undone and taken shorter. When steps are so long that dashpots bear next to nothing, the
+last one is without. If there is no friction it is steepest descent of the energy in the norm of k: no unstable equilibrium
+stops it for long.
 """
 
 from __future__ import annotations
+
+import numpy as np
 
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem, Dashpots
@@ -33,11 +36,11 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
     the last step, with the iterations of all. Where it has not converged they are not at rest, and the caller undoes it
     (collective)."""
     k, δ, iterations = problem.nodal_stiffness(), FIRST, 0
-    rests = False
+    rests, last = False, np.inf
     for _ in range(MAX_STEPS):
-        before = problem.snapshot()
+        before, since = problem.snapshot(), problem.bodies.get()
         slowed = δ > LEAST
-        problem.dashpots = Dashpots(δ * k, problem.bodies.get()) if slowed else None
+        problem.dashpots = Dashpots(δ * k, since) if slowed else None
         try:
             result = solver.solve()
         finally:
@@ -47,10 +50,13 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
         if rests or δ > MOST:
             break
         if result.converged and not any(finding.fatal for finding in problem.findings()):
+            way, _ = problem.bodies.farthest(problem.bodies.get() - since)
             problem.commit()
-            δ = δ / CHANGE if result.iterations <= EASY else δ
+            if result.iterations <= EASY or way < last:
+                δ /= CHANGE
+            last = way
         else:
             problem.restore(before)
-            δ *= CHANGE
+            δ, last = δ * CHANGE, 0.0
     result.converged, result.iterations = rests, iterations
     return result

@@ -148,9 +148,11 @@ class PairResults:
     def friction_in_use(self) -> float:
         """The friction that the contact bears, ∫ |t_T| dS₀, over what its pressure allows, ∫ μp dS₀, collective: 1 where all
         of it slides, 0 without friction or pressure."""
-        bound = self.state.bound
-        if bound is None:
+        if self.state.bound is None:
             return 0.0
+        bound = np.where(
+            self.state.status != OPEN, self.state.bound, 0.0
+        )  # one that is frozen is there where all is open, too
         ν, t = self.at.ν, self.state.t
         rubs = np.linalg.norm(t - ν * np.einsum("ni,ni->n", ν, t)[:, None], axis=1)
         borne, allowed = sum_over(self.comm, self.j @ np.column_stack([rubs, np.maximum(bound, 0.0)]))

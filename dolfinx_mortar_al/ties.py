@@ -51,7 +51,7 @@ SOFTEST = 1e-9  # where all points slip and a spring of a millionth of the bodie
 THROWN = (
     1.0  # of a piece's radius, root mean squares of both: farther from where it was expected is no equilibrium near by
 )
-HISTORY = ("anchor", "resistance", "borne")
+HISTORY = ("anchor", "resistance", "elastic", "trusts", "borne")
 
 
 class Bearing(NamedTuple):
@@ -88,6 +88,8 @@ class Ties:
         anchor: (owned dofs,) displacement where the ties bear nothing (m).
         resistance: (motions, motions) of all pieces together, to their rigid motions in the last equilibrium, as a share of
             that of a tie; at least 1 where it is a stiffness that resists; 0 where that is not known.
+        elastic: (motions, motions) projects onto those motions that bodies deform in, and resist.
+        trusts: (1,) whether these are not tied, however much contact presses: it has shown that nothing else is needed.
         tied: (pieces,) which contact alone holds.
         let_be: (pieces,) which are not tied in this solve.
         borne: (pieces,) what ties bear in the last equilibrium, as a share of the contact forces.
@@ -114,6 +116,8 @@ class Ties:
         self.resistance: Array = np.zeros((self._n, self._n))
         self.let_be: Flags = np.zeros(bodies.pieces, dtype=bool)
         self.borne: Array = np.zeros(bodies.pieces)
+        self.elastic: Array = np.zeros_like(self.resistance)
+        self.trusts: Flags = np.zeros(1, dtype=bool)
         self._free: Array = np.zeros_like(self.resistance)  # projects onto the motions that are tied
         self.motions: Array = np.zeros((0, len(diagonal)))
         self.ways: Array = np.zeros((0, len(diagonal)))
@@ -127,6 +131,11 @@ class Ties:
     def acts(self) -> bool:
         """Whether anything is tied."""
         return len(self.motions) > 0
+
+    @property
+    def may_act(self) -> bool:
+        """Whether there is anything that may be tied."""
+        return bool(self.tied.any())
 
     @property
     def is_unstable(self) -> bool:
@@ -252,7 +261,7 @@ class Ties:
     def _soft(self, admissible: list[Array]) -> Array:
         """(motions of all pieces, ·) an orthonormal basis of those motions, together, that next to nothing resists."""
         held = [np.zeros((len(b), 0)) if self.let_be[p] else b for p, b in zip(self._pieces, admissible, strict=True)]
-        basis, resistance = self._together(held), self.resistance
+        basis, resistance = self._together(held), self.resistance + (self.elastic if self.trusts[0] else 0.0)
         if not resistance.any() or not basis.shape[1]:
             return np.zeros((self._n, 0))
         if self.let_be.any():  # what is let be follows
@@ -302,6 +311,7 @@ class Ties:
         held[[p for p, b in zip(self._pieces, admissible, strict=True) if b.size]] = False
         stiff = deformed[held].any(axis=0) | (deformed.any(axis=0) & (resists > geometric))
         resists[stiff] = np.maximum(resists[stiff], 1.0)
+        self.elastic = basis @ (axes * (deformed.any(axis=0) & (resists > 0.0))) @ axes.T @ basis.T
         self.resistance = basis @ (axes * resists) @ axes.T @ basis.T
 
     def _square(self, free: Array) -> Array:
@@ -423,6 +433,10 @@ class Ties:
     def further(self, amounts: Array) -> Array:
         """(pieces, motions) what ties bear more (N) where pieces are so much (ties,) on along their ways (collective)."""
         return self.along(self.softness * amounts @ self.motions)
+
+    def elastic_ones(self) -> bool:
+        """Whether any motion that is tied is one that bodies deform in, and resist."""
+        return bool(np.linalg.eigvalsh(self._free @ self.elastic @ self._free)[-1] > 1 / 2)
 
     def soften(self) -> None:
         """Let ties be softer from now on in this solve; the pieces are to be tied anew."""

@@ -10,6 +10,7 @@ points. So the nodes of both surfaces, and open points, are looked at once more:
 - a membrane, which bears no compression, has folded over where Newton's iterates were wild: an unstable equilibrium;
 - where nothing at all is in contact, a node that lies in the other body, at any depth, says that the bodies meet with
   surfaces that the pair does not name;
+- what its body's boundary goes on with beyond the end of a surface, unnamed, overlaps the other body unfelt, too;
 - depth is a function of slope one at most: a node that lies deeper than the next integration point is away, and than meshes
   may err, has taken that along, which contact should have felt and undone.
 """
@@ -23,6 +24,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.beyond import Beyond
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.inside import Inside
 from dolfinx_mortar_al.integration import IntegrationPoints
@@ -63,6 +65,10 @@ ELSEWHERE = (
     "one body lies in the other while nothing of this pair is in contact: other surfaces of them meet; name these, or all of "
     "the boundary that may ever touch, as contactor and target"
 )
+UNNAMED = (
+    "the body's boundary goes on where the {} (tag {}) ends, and lies in the other body there, which nothing feels: name "
+    "these facets, too"
+)
 FOLDS = "a membrane has folded over in the step, which it does in compression alone; take smaller steps"
 SHARE = 0.02  # of the longer facet: what overlaps by less is an error of the mesh
 FOLDED = -0.5  # cosine of the normals of a facet and its neighbour, or in its middle and elsewhere on it
@@ -93,6 +99,7 @@ class _Side:
 
     def __init__(self, surface: Surface, target: DeformableTarget, bodies: Bodies) -> None:
         self.target, self.inside, self.is_membrane = target, Inside(surface, bodies), surface.is_membrane
+        self.beyond, self.tag = Beyond(surface, target, bodies), surface.tag
         #: (nodes, gdim) where they were in the last converged state (m)
         self.before = target.nodes
         #: (nf,) which are in contact, and which were then
@@ -205,6 +212,7 @@ class Unfelt:
         if isinstance(target, DeformableTarget):
             assert surface is not None
             self._other = _Side(surface, target, bodies)
+            self._is_of_one = _share_a_piece(contactor, surface, bodies)
 
     def look(
         self,
@@ -236,9 +244,11 @@ class Unfelt:
         if isinstance(self._target, RigidTarget):
             assert isinstance(before.place, Pose)
             parts = open_, nodes, self._between(self._target.obstacle, spacing)
-            return self._folds((self._contactor,)) or self._findings(
+            said = self._folds((self._contactor,)) or self._findings(
                 [self._at_obstacle(self._target, part, before.place) for part in parts]
             )
+            ends = self._at_obstacle(self._target, self._beyond(self._contactor), before.place)
+            return said + self._unnamed("contactor", self._contactor, ends)
         self._take_target(at, closed, before)
         others = self._nodes(self._other, np.zeros(len(self._other.target.nodes)))
         said = self._folds((self._contactor, self._other)) or self._findings(
@@ -248,7 +258,12 @@ class Unfelt:
                 self._at_surface(others, self._contactor, look_deep=True, spacing=spacing),
             ]
         )
-        if said or any_over(self._comm, closed.any()):
+        if any_over(self._comm, closed.any()):
+            pairs = ("contactor", self._contactor, self._other), ("target", self._other, self._contactor)
+            for name, side, other in () if self._is_of_one else pairs:
+                said = said + self._unnamed(name, side, self._at_surface(self._beyond(side), other, look_deep=True))
+            return said
+        if said:
             return said
         return self._elsewhere([(nodes, self._other), (others, self._contactor)])
 
@@ -283,6 +298,12 @@ class Unfelt:
         loose, silent = (side.of_nodes(~values) == 0.0 for values in (~side.closed, side.silent))
         every = _Points(side.before, side.target.nodes, surface.X, loose, silent, extent, reach)
         return every.take(np.arange(self._comm.rank, len(silent), self._comm.size))
+
+    def _beyond(self, side: _Side) -> _Points:
+        """This rank's share of the nodes beyond a surface's ends."""
+        x, X, nowhere = side.beyond.nodes(), side.beyond.X, np.zeros(len(side.beyond.X), dtype=bool)
+        every = _Points(x, x, X, nowhere, nowhere, side.beyond.extent, np.ones(len(X)))
+        return every.take(np.arange(self._comm.rank, len(X), self._comm.size))
 
     def _between(self, obstacle: Obstacle, spacing: Array) -> _Points:
         """Points of this rank's facets without contact that a narrow obstacle comes near, a quarter of its radius apart;
@@ -356,6 +377,16 @@ class Unfelt:
             if len(X)
         ]
 
+    def _unnamed(self, name: str, side: _Side, found: _Found) -> list[Finding]:
+        """Nodes beyond the end of a surface that lie in the other body, deeper than any error of the meshes (collective)."""
+        k = np.argsort(found.depth)[-1:]
+        mine = [(float(found.depth[i]), tuple(map(float, found.X[i]))) for i in k]
+        deepest, place = max((one for part in self._comm.allgather(mine) for one in part), default=(0.0, ()))
+        if deepest <= TOLD:
+            return []
+        words = UNNAMED.format(name, side.tag)
+        return [Finding(f"{self._name}: overlap beyond the {name} (facets)", deepest, place, words, False)]
+
     def _elsewhere(self, sides: list[tuple[_Points, _Side]]) -> list[Finding]:
         """Nodes that lie in the other body, of a pair that is not in contact (collective)."""
         mine = [tuple(map(float, X)) for points, other in sides for X in points.X[self._deep(points, other)]]
@@ -401,3 +432,13 @@ def _found(points: _Points, passed: Bool, depth: Array, silent: Bool, reach: Arr
     missed = points.loose & far & (depth > reach)
     told = silent | (depth > TOLD * longer)
     return _Found(points.X, passed, np.where(told, depth, 0.0) / longer, missed, silent)
+
+
+def _share_a_piece(a: Surface, b: Surface, bodies: Bodies) -> bool:
+    """Whether two surfaces are of the same connected piece of a body (collective)."""
+    if a.mesh is not b.mesh:
+        return False
+    body = bodies.bodies[bodies.index(a.mesh)]
+    mine = [set(body.piece[Facets.of(surface, body.space).dofs].ravel().tolist()) for surface in (a, b)]
+    parts = [set().union(*bodies.comm.allgather(part)) for part in mine]
+    return bool(parts[0] & parts[1])

@@ -16,7 +16,7 @@ from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, quasi
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.inside import Inside
 from dolfinx_mortar_al.monitors import ModelWarning
-from dolfinx_mortar_al.obstacles import Pose, RigidCylinder, RigidSphere
+from dolfinx_mortar_al.obstacles import Pose, RigidCylinder, RigidPlane, RigidSphere
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions
 from dolfinx_mortar_al.swept import depth_behind, passed_obstacle, passed_through
 from meshes.boxes import Box, create_boxes
@@ -213,6 +213,42 @@ def test_the_wrong_surface_of_a_body(side, swap):
 
 
 # ---------------------------------------------------------------- swept paths, and what is behind a surface
+
+
+def barrel(width):
+    """A block with its bottom y = x²/2, and of that the part |x| < width as a surface."""
+    drum = Body([-0.5, 0.0], [0.5, 0.4], [20, 6], place=lambda x: x + [0, 0.5, 0] * x[:, [1, 0, 2]] ** 2)
+    facets = drum.tags.find(BOTTOM)
+    facets = facets[np.abs(mesh.compute_midpoints(drum.mesh, 1, facets)[:, 0]) < width]
+    tags = mesh.meshtags(drum.mesh, 1, facets, np.full(len(facets), BOTTOM, dtype=np.int32))
+    return drum, Surface(drum.mesh, tags, BOTTOM)
+
+
+@pytest.mark.parametrize("role", ["on an obstacle", "contactor", "target"])
+def test_contact_that_runs_over_the_end_of_a_surface_is_told(role):
+    """A barrel is pressed .06 down, by which it comes to touch on .2 to either side and more. Where its bottom is named to .1
+    only, what follows lies in the other body by a fifth of a facet at least, which is told of, and the force is 10 % lower.
+    Where all of it is named nothing is said of it."""
+    forces, told = [], []
+    for width in (0.1, 0.5):
+        drum, surface = barrel(width)
+        way = fem.Constant(drum.mesh, np.zeros(2))
+        F, u, bcs, sides = [drum.F], [drum.u], [drum.held(drum.top, way)], (surface, RigidPlane([0.0, 0.0], [0.0, 1.0]))
+        if role != "on an obstacle":
+            slab = Body([-0.8, -0.4], [0.8, 0.0], [40, 8])
+            bottom = fem.locate_dofs_geometrical(slab.u.function_space, lambda x: np.isclose(x[1], -0.4))
+            F, u, bcs = [*F, slab.F], [*u, slab.u], [*bcs, slab.held(bottom, np.zeros(2))]
+            sides = (surface, slab.surface(TOP)) if role == "contactor" else (slab.surface(TOP), surface)
+        problem = ContactProblem(F, u, bcs=bcs, contacts=[Contact(*sides)])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            *_, step = quasistatic.march(problem, way, to=(0.0, -0.06), increments=3)
+        told.append([f for f in step.findings if "beyond" in f.name])
+        forces.append(abs(problem.pairs[0].force()[1]))
+    assert told[1] == []
+    assert told[0][0].value > 0.2
+    assert "name these facets" in told[0][0].meaning
+    assert forces[0] < 0.9 * forces[1]
 
 
 def line(X, order=1, orientation=1.0):
