@@ -1,11 +1,11 @@
 """Collisions of free bodies: energy never grows, both momenta stay, surfaces neither overlap nor are passed through."""
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
+import two_discs
+from collisions import watch
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
@@ -14,10 +14,6 @@ from dolfinx_mortar_al.checkpoint import Checkpoint
 from dolfinx_mortar_al.dynamics import StepFailure
 from meshes.gmsh_session import distribute
 from meshes.round_bodies import Round, RoundBodies
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import two_discs
-from collisions import watch
 
 R, E, NU, DENSITY = 0.1, 1e6, 0.3, 1000.0
 

@@ -1,16 +1,11 @@
 """Contact settles on the linearised bulk: the same answers in fewer Newton iterations, however fine the mesh."""
 
-import sys
-from pathlib import Path
-
+import ironing
 import numpy as np
 import pytest
 from dolfinx import fem, mesh
 from mpi4py import MPI
 from scenes import beams, tip
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import ironing
 
 from dolfinx_mortar_al import Body, ContactProblem, NewtonSolver, contact_iteration, materials, quasistatic
 from dolfinx_mortar_al.contact_iteration import ContactIteration

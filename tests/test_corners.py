@@ -1,8 +1,5 @@
 """Corners, ends and vertices: a sharp block on a slab, past its end and back, and points that meet a target's corner."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 import ufl
@@ -17,12 +14,10 @@ from dolfinx.mesh import (
     meshtags,
 )
 from mpi4py import MPI
-from scenes import assert_tangent, blocks, rough, set_field
-from test_projection import curved_surface
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from robustness_model import Model
 from robustness_scenes import UPPER, Body, Scene, Stage, draw
+from scenes import assert_tangent, blocks, rough, set_field
+from test_projection import curved_surface
 
 from dolfinx_mortar_al import Body as Solid
 from dolfinx_mortar_al import (

@@ -4,10 +4,15 @@ import argparse
 import importlib.util
 import json
 import sys
-from pathlib import Path
 
+import flattened_ring
 import numpy as np
+import press_and_drag
 import pytest
+import tutorial
+import two_beams
+import two_membranes
+import two_rings
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
@@ -17,14 +22,6 @@ from dolfinx_mortar_al import command_line, read_msh
 from meshes.gmsh_session import distribute
 from meshes.two_bars import TwoBars
 from meshes.two_beams import TwoBeams
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
-import flattened_ring
-import press_and_drag
-import tutorial
-import two_beams
-import two_membranes
-import two_rings
 
 
 def run(monkeypatch, directory, *arguments):

@@ -1,15 +1,10 @@
 """Nearly incompressible bodies: Newton's derivative with the foreseen pressure, and what marches take with it."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as dolfinx_petsc
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from rubber import Scene, pressed
 
 from dolfinx_mortar_al import Body, materials, quasistatic

@@ -1,21 +1,16 @@
 """Bodies that supports lead begin a step where these take them along the surfaces they touch."""
 
-import sys
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
-
-from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from robustness import march
 from robustness_scenes import draw
 
+from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic
 from meshes.boxes import Box, create_boxes
 
 BASE, FACE, SOLE, HEAD, SIDE = 1, 2, 3, 4, 5

@@ -2,16 +2,13 @@
 
 import logging
 import resource
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scaling
 from petsc4py import PETSc
 from scenes import beams, blocks, rough, tip
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import scaling
 
 from dolfinx_mortar_al import NewtonSolver, contact_iteration, linear_solver, quasistatic
 from dolfinx_mortar_al.contact_patch import ContactPatch, patch_defaults

@@ -1,19 +1,14 @@
 """The same numbers on any number of ranks: each scene on all ranks together and on every rank by itself."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+import scaling
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import CellType, create_box
 from mpi4py import MPI
 from petsc4py import PETSc
 from scenes import beams, blocks, tip
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import scaling
 
 from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, materials, quasistatic
 from meshes.ironing import PUNCH, PUNCH_BOTTOM, PUNCH_TOP, SLAB, SLAB_BOTTOM, SLAB_TOP, Ironing

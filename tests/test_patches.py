@@ -1,20 +1,16 @@
 """Contact in patches: what straight facets of curved surfaces do to a press fit, and that it is said."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from pressed_blocks import pressed_blocks
 from scenes import FailingSolver
 
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic
 from dolfinx_mortar_al.surface import Facets
 from dolfinx_mortar_al.verify.meshes import build, grid
 from dolfinx_mortar_al.verify.model import hold, space
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from pressed_blocks import pressed_blocks
 
 RADII, E, NU = (0.5, 1.0, 1.5), 2e11, 0.3  # m, Pa
 SIDES, FITTED, BORE = (10, 11), 3, 4

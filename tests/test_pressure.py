@@ -1,16 +1,12 @@
 """Pressure at the points under a punch: smooth with multipliers of order 1, whichever side carries them or is stiff."""
 
-import sys
 import warnings
 from functools import partial
-from pathlib import Path
 
-import numpy as np
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import hertz_pressure
 import ironing
+import numpy as np
+import pytest
 
 INNER = 0.7  # of the zone's half width: further out the pressure falls to zero as a root, and points open
 

@@ -1,13 +1,9 @@
 """A fixed dozen of the random scenes of benchmarks/robustness.py, at least one of each family, with its own checks."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from robustness import BALANCE, DEEPEST, UNFELT, march
 from robustness_scenes import FAMILIES, draw
 

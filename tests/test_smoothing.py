@@ -1,10 +1,9 @@
 """Multipliers whose nodes are closer together than the target's are held smooth, by the compliance that its facets lack."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+import robustness
+import robustness_scenes
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
@@ -12,10 +11,6 @@ from scenes import beams
 
 from dolfinx_mortar_al import Body, Contact, ContactProblem, NewtonSolver, Surface, materials, quasistatic
 from dolfinx_mortar_al.smoothing import products_of_gradients
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import robustness
-import robustness_scenes
 
 CURVED = 0.5  # of its bottom, 1/m: half the curvature
 DEEP = 0.05  # m

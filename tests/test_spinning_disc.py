@@ -2,19 +2,16 @@
 
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
+import spinning_disc
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, dynamics, materials, monitors, obstacles
 from meshes.disc import RIM, Disc
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
-import spinning_disc
 
 R, THICKNESS, DENSITY = 0.1, 0.02, 6000.0
 V = 20 / 3.6 / np.sqrt(2)

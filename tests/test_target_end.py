@@ -1,25 +1,19 @@
 """Points that a solve holds to the target beyond its end: what they face, its derivative, and what becomes of them."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from dolfinx import fem
 from dolfinx.mesh import CellType, create_rectangle, locate_entities_boundary, meshtags
 from mpi4py import MPI
+from patch_test import pressure_error, squeezed_shells
+from robustness_model import Model
+from robustness_scenes import Stage
 from scenes import assert_tangent, beams, rough, set_field
 from test_corners import DEPTH, PRESS, block_on_slab, march
 
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, quasistatic
 from dolfinx_mortar_al.active_set import LOSSES
 from dolfinx_mortar_al.law import OPEN, SLIP, STICK
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from patch_test import pressure_error, squeezed_shells
-from robustness_model import Model
-from robustness_scenes import Stage
-
 from meshes.two_beams import UPPER
 
 EPS = 1e7  # Pa/m

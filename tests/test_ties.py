@@ -1,16 +1,11 @@
 """Pieces that contact alone holds: what slides or rolls is tied, and the tie bears what pressures leave, no more."""
 
-import sys
-from pathlib import Path
-
+import free_bodies
 import numpy as np
 import pytest
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import free_bodies
 from pins import half_pin, pin
 from rolling import Scene, build, middle
 

@@ -2,15 +2,15 @@
 
 import contextlib
 import math
-import sys
 import warnings
-from pathlib import Path
 
 import basix
 import numpy as np
 import pytest
 from dolfinx import fem, mesh
 from mpi4py import MPI
+from robustness import march
+from robustness_scenes import draw
 
 from dolfinx_mortar_al import Contact, ContactProblem, Surface, materials, quasistatic
 from dolfinx_mortar_al.bodies import Bodies
@@ -20,10 +20,6 @@ from dolfinx_mortar_al.obstacles import Pose, RigidCylinder, RigidPlane, RigidSp
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions
 from dolfinx_mortar_al.swept import depth_behind, passed_obstacle, passed_through
 from meshes.boxes import Box, create_boxes
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from robustness import march
-from robustness_scenes import draw
 
 E, NU = 1e5, 0.3
 BOTTOM, TOP = 1, 2
