@@ -44,7 +44,7 @@ class Motion:
         residual: UFL form of the step, which :class:`~dolfinx_mortar_al.problem.ContactProblem` takes from the motion.
         velocity: 𝐯_n (m/s), a Function to interpolate the initial velocity into.
         old: 𝐮_n (m).
-        time_step: Δt (s).
+        time_step: Δt (s) of the next step, a Constant; a number may be assigned between marches.
         known: how the ledger knows the strain energy, in words.
 
     Raises:
@@ -66,7 +66,7 @@ class Motion:
         old: fem.Function | None = None,
     ) -> None:
         self.body = body = _body_of(u, material=material, density=density, thickness=thickness, external=external)
-        self.time_step = _time_step_of(step, body.u)
+        self._time_step = _time_step_of(step, body.u)
         self.theta = theta = number("theta", theta, least=0.5, most=1.0, must="θ must be")
         if not isinstance(force, str) or force not in ("consistent", "trapezoidal"):
             raise ValueError(f'force = "{force}": "consistent" or "trapezoidal"')
@@ -98,6 +98,15 @@ class Motion:
         self._done = 0.0  # by internal forces without a stored energy, since the start (J)
         self._energies = self.energy_forms()
         self._momenta = self._momentum_forms()
+
+    @property
+    def time_step(self) -> fem.Constant:
+        """Δt (s) of the next step; a number may be assigned."""
+        return self._time_step
+
+    @time_step.setter
+    def time_step(self, step: float) -> None:
+        self._time_step.value = number("time_step", step, above=0.0)
 
     def _mean_of_loads(self, external: ufl.Form) -> ufl.Form:
         """The virtual work of loads with the θ-weighted values over the step of all that they depend on."""

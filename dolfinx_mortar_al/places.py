@@ -60,8 +60,10 @@ class Places:
 
     @staticmethod
     def _weights(bear: Bearing) -> Array:
-        """(pieces, 1) that make forces shares of the largest ones on each piece that bears something."""
-        return np.where(bear.borne > 0.0, 1.0 / bear.most, 0.0)[:, None]
+        """(pieces, 1) that make forces shares of the largest ones on each piece that bears something; a tie's own are that on
+        one that next to nothing presses."""
+        largest = np.maximum(bear.most, np.linalg.norm(bear.along, axis=1))
+        return np.where(bear.borne > 0.0, 1.0 / largest, 0.0)[:, None]
 
     def onwards(self, bear: Bearing, resisted: bool, length: Callable[[Array], float]) -> Array:
         """How far on to tie the pieces: by as much as would make the ties bear so much more, (pieces, motions) in N. It is

@@ -748,6 +748,14 @@ class ContactProblem:
         touch = max((pair.kinematics.touch for pair in self.pairs), default=0.0)
         return any(pair.obstacle_moves for pair in self.pairs) or self.ties.supports_move(touch)
 
+    def is_driven_on(self, du: Array) -> bool:
+        """Whether something drives bodies on, along a motion that contact alone would hold them in, and supports and obstacles
+        rest in the change du (owned dofs,) of the displacements since the last equilibrium (collective)."""
+        if self.ties is None or not self.ties.drives_on or any(pair.obstacle_moves for pair in self.pairs):
+            return False
+        touch = max((pair.kinematics.touch for pair in self.pairs), default=0.0)
+        return max_over(self.comm, float(np.abs(du[self.bodies.prescribed()]).max(initial=0.0))) <= touch
+
     def tighten_ties(self) -> None:
         """After such a step: tie the pieces to where they are now; the bulk's forces, which are those before it, are brought
         up to date (collective)."""

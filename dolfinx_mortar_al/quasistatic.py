@@ -484,12 +484,15 @@ class _LoadControl(Controller[Step]):
         self.problem.slip_from_touch(pace(self.problem.comm, leg.way(self._x), leg.load.moved))
         self.problem.lead()
         attempt = _solve(self.problem, self.solver)
+        du = self.problem.bodies.get() - self._before
+        way, X = self.problem.bodies.farthest(du)
+        self._going = way / length
+        if attempt.good and UNSTABLE not in attempt.findings and self._slid_on(attempt.newton, du):
+            attempt.findings.append(UNSTABLE)
         self._leapt, self._unstable = False, UNSTABLE in attempt.findings
         if attempt.good and self._unstable and not self._was_unstable:
             # a body does not come to rest there: there may be a stable equilibrium that this step has leapt over
             attempt.good, attempt.message = stepping.CUT * length < max(LEAP, self.smallest), LEAPT
-        way, X = self.problem.bodies.farthest(self.problem.bodies.get() - self._before)
-        self._going = way / length
         if attempt.good and self._was_unstable and not self._unstable and self._going > FARTHER * self._pace:
             attempt.findings.append(Finding("leap (m)", way, X, LEFT, False))
         if attempt.good and attempt.newton.wild and any(parted := self._predictor.parted()):
@@ -508,6 +511,13 @@ class _LoadControl(Controller[Step]):
         if self._from_last:
             attempt.cut, self._tried_from_last = 1.0, True
         return attempt
+
+    def _slid_on(self, newton: NewtonResult, du: Array) -> bool:
+        """Whether bodies that friction held, while supports rest, have slid to where it holds them no more: by more than a
+        facet, and farther for the length of the step than in the one before."""
+        p = self.problem
+        far = self._going > FARTHER * self._pace and p.longest_motion(du) > 1.0
+        return newton.unstable and far and p.is_driven_on(du)
 
     @property
     def _may_relax(self) -> bool:

@@ -142,6 +142,11 @@ class Ties:
         """Whether the last equilibrium is one that a piece would leave, along a motion that it is driven on in."""
         return bool(np.linalg.eigvalsh((self.resistance + self.resistance.T) / 2)[0] < -NEUTRAL)
 
+    @property
+    def drives_on(self) -> bool:
+        """Whether anything drives a piece on in the last equilibrium, however little."""
+        return bool(np.linalg.eigvalsh((self.resistance + self.resistance.T) / 2)[0] < 0.0)
+
     def far(self) -> Flags:
         """(pieces,) which of those that contact alone holds are farther than their radius from where this solve began
         (collective)."""

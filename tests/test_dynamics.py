@@ -334,6 +334,16 @@ def test_the_step_adapts_and_meets_the_asked_for_times():
     assert abs(steps[-1].ledger.energy_defect) < 1e-9 * energy
 
 
+def test_the_time_step_may_be_assigned_between_marches():
+    problem, motion = disc(velocity=lambda x: np.stack([1 + 0 * x[0], -3 + 0 * x[0]]))
+    *_, step = dynamics.march(problem, to=2e-3)
+    motion.time_step = 5e-4
+    times = [done.time for done in dynamics.march(problem, to=4e-3, start=step.time)]
+    assert np.allclose(times, [2.5e-3, 3e-3, 3.5e-3, 4e-3], rtol=1e-12)
+    with pytest.raises(ValueError, match="time_step = 0"):
+        motion.time_step = 0.0
+
+
 def test_loss_of_ellipticity_ends_the_run_with_its_place():
     """St Venant–Kirchhoff at 40 m/s: the run ends with the monitor's message, and the state is the last sound one."""
     problem, _ = disc(law="svk", velocity=lambda x: np.stack([39 + 0 * x[0], -39 + 0 * x[0]]), watch=True, step=1e-4)
