@@ -281,7 +281,7 @@ class NewtonSolver:
             if not any(pardoned) and not self._slides(iteration):
                 return None if self._lets_go(iteration) else _Reason.CONVERGED_FNORM_ABS
             if self._moves > MAX_MOVES:
-                self.result.message = f"nothing resists a slide, {MAX_MOVES} places on"
+                self.result.message = f"nothing that resists a slide has been found at {MAX_MOVES} places along it"
                 return _Reason.DIVERGED_LOCAL_MIN
             return None
         ties = self.problem.ties
@@ -437,7 +437,7 @@ class NewtonSolver:
             p.measure_ties(self.linear.response)
         if p.move_ties(self.snes.getFunction()[0], bear.along - on, softer=softer):
             places.forget()
-        self._moves += 1
+        self._moves += p.is_pressed()  # on the way to a first contact there are as many as it takes
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         return True
 

@@ -749,8 +749,8 @@ class ContactProblem:
         return any(pair.obstacle_moves for pair in self.pairs) or self.ties.supports_move(touch)
 
     def is_driven_on(self, du: Array) -> bool:
-        """Whether something drives bodies on, along a motion that contact alone would hold them in, and supports and obstacles
-        rest in the change du (owned dofs,) of the displacements since the last equilibrium (collective)."""
+        """Whether something drives bodies on, along a motion that contact alone would hold them in, and supports and
+        obstacles rest in the change du (owned dofs,) of the displacements since the last equilibrium (collective)."""
         if self.ties is None or not self.ties.drives_on or any(pair.obstacle_moves for pair in self.pairs):
             return False
         touch = max((pair.kinematics.touch for pair in self.pairs), default=0.0)

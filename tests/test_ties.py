@@ -529,9 +529,9 @@ def test_what_lies_on_a_body_that_is_moved_goes_with_it(heights, friction, weigh
 
 @pytest.mark.parametrize("young", [1e8, 1e9])
 def test_a_ladder_stands_at_twice_its_weight(young):
-    """A round-ended bar of 1 m leans at 60° on floor and wall, μ = .4: it stands from 46.4° on. In two increments of its
-    weight the second state is the first with twice the forces, and the bar stays, but for its elasticity, to 5 mm; Newton slid
-    it by .1 m to 46.4°, where nothing is left to bear and less would not hold it."""
+    """A round-ended bar of 1 m leans at 60° on floor and wall, μ = .4: it stands from 46.4° on. In two increments of
+    its weight the second state is the first with twice the forces, and the bar stays, but for its elasticity, to 5 mm; Newton
+    slid it by .1 m to 46.4°, where nothing is left to bear and less would not hold it."""
 
     def stadium(gmsh):
         bar = gmsh.model.occ.addRectangle(0, 0, 0, 1.0, 0.05, roundedRadius=0.024)
