@@ -58,8 +58,9 @@ ROUNDED = (
     "small a load, or lies far from the origin; move the meshes there, or take these forces for none"
 )
 SLIDE = (
-    "share of the contact forces that push it where nothing resists, from pressures on a coarse mesh or a small load; a tie "
-    "to where it was bears them; refine its surface, or prescribe the motion that is free, of one node"
+    "share of the contact forces that push it where next to nothing resists, from pressures on a coarse mesh or a load under "
+    "which it is about to slide or tip, of which it may be a large part; a tie to where it was bears them, and contact does "
+    "not; refine its surface, or prescribe the motion that is free, of one node"
 )
 SLIDES = (
     "{}: {:.1%} of the friction that its pressure allows is in use in the last of these states, and little else keeps a body "

@@ -513,11 +513,11 @@ class _LoadControl(Controller[Step]):
         return attempt
 
     def _slid_on(self, newton: NewtonResult, du: Array) -> bool:
-        """Whether bodies that friction held, while supports rest, have slid to where it holds them no more: by more than a
-        facet, and farther for the length of the step than in the one before."""
+        """Whether bodies have slid or tipped, while supports rest, to where contact holds them no more: by more than a facet,
+        from where it held them as supports would, or else farther for the length of the step than in the one before."""
         p = self.problem
-        far = self._going > FARTHER * self._pace and p.longest_motion(du) > 1.0
-        return newton.unstable and far and p.is_driven_on(du)
+        far = p.standing.held or self._going > FARTHER * self._pace
+        return newton.unstable and far and p.longest_motion(du) > 1.0 and p.is_driven_on(du)
 
     @property
     def _may_relax(self) -> bool:
