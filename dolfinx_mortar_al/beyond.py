@@ -1,40 +1,44 @@
-"""What lies next to a contact surface on its body's boundary, and is not named (``docs/robustness.md``)."""
+"""What lies beside a contact surface on its body's boundary, and is not named (``docs/robustness.md``)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from dolfinx import mesh
+from dolfinx import la, mesh
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.reductions import sum_over
-from dolfinx_mortar_al.surface import Facets, Surface
+from dolfinx_mortar_al.surface import Surface
 from dolfinx_mortar_al.targets import DeformableTarget
 
 __all__ = ["Beyond"]
 
 Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
+Entities = NDArray[np.int32]
 
 
 class Beyond:
-    """The facets of a body's boundary that touch a surface and do not belong to it.
+    """The facets of a body's boundary that touch a surface and that no pair names.
 
     Args:
         surface: of the body, whole on every rank as `target`.
         bodies: of the problem.
+        named: surfaces of all pairs.
 
     Attributes:
-        X: (n, gdim) reference positions (m) of their nodes that are not the surface's; extent: (n,) of the largest facet that
-            a node belongs to (m).
+        X: (n, gdim) reference positions (m) of their nodes that are not the surface's.
+        extent: (n,) of the largest of these facets that a node belongs to (m).
     """
 
-    def __init__(self, surface: Surface, target: DeformableTarget, bodies: Bodies) -> None:
+    def __init__(self, surface: Surface, target: DeformableTarget, bodies: Bodies, named: Sequence[Surface]) -> None:
         self._facets: DeformableTarget | None = None
         self.X: Array = np.zeros((0, surface.mesh.geometry.dim))
         self.extent: Array = np.zeros(0)
         self._free: Bool = np.zeros(0, dtype=bool)
-        near = None if surface.is_membrane else _touching(surface, target, bodies)
+        near = None if surface.is_membrane else _beside(surface, named)
         if near is None:
             return
         self._facets = DeformableTarget(near, bodies, uses_rays=False)
@@ -52,19 +56,20 @@ class Beyond:
         return self._facets.nodes[self._free]
 
 
-def _touching(surface: Surface, target: DeformableTarget, bodies: Bodies) -> Surface | None:
-    """The facets of the boundary that share a node with a surface, but those of the surface (collective)."""
+def _beside(surface: Surface, named: Sequence[Surface]) -> Surface | None:
+    """The facets of the boundary that share a vertex with a surface, but those that are named (collective)."""
     domain, fdim = surface.mesh, surface.mesh.topology.dim - 1
-
-    def marked(facets: NDArray[np.int32]) -> Surface | None:
-        if not sum_over(domain.comm, len(facets)):
-            return None
-        return Surface(domain, mesh.meshtags(domain, fdim, facets, np.ones(len(facets), dtype=np.int32)), 1)
-
-    rest = np.setdiff1d(mesh.exterior_facet_indices(domain.topology), surface.owned_facets())
-    others, V = marked(rest), bodies.bodies[bodies.index(domain)].space
-    if others is None:
+    domain.topology.create_connectivity(fdim, 0)
+    of_facets = domain.topology.connectivity(fdim, 0)
+    vertices = of_facets.array.reshape(of_facets.num_nodes, -1) if of_facets.num_nodes else np.zeros((0, 1), dtype=int)
+    own = surface.owned_facets()
+    flags = la.vector(domain.topology.index_map(0))
+    flags.array[vertices[own]] = 1.0
+    flags.scatter_reverse(la.InsertMode.add)
+    flags.scatter_forward()
+    known = [other.owned_facets() for other in named if other.mesh is domain and not other.is_membrane]
+    rest = np.setdiff1d(mesh.exterior_facet_indices(domain.topology), np.concatenate([own, *known]))
+    beside = rest[(flags.array[vertices[rest]] > 0.0).any(axis=1)].astype(np.int32)
+    if not sum_over(domain.comm, len(beside)):
         return None
-    dofs = Facets.of(others, V).dofs
-    every = V.dofmap.index_map.local_to_global(dofs.ravel().astype(np.int32)).reshape(dofs.shape)
-    return marked(rest[np.isin(every, target.surface.blocks).any(axis=1)])
+    return Surface(domain, mesh.meshtags(domain, fdim, beside, np.ones(len(beside), dtype=np.int32)), 1)

@@ -129,6 +129,8 @@ class ContactPair(PairFindings):
         self._bodies = bodies
         self._doubted = False
         self._unfelt: Unfelt | None = None  # impact does without
+        #: surfaces that a pair of the problem names, of this one to begin with
+        self.named = [side for side in (contact.contactor, contact.target) if isinstance(side, Surface)]
 
     # ---------------------------------------------------------------- set-up
 
@@ -716,7 +718,7 @@ class ContactPair(PairFindings):
         if self._unfelt is None:
             c = self.contact
             surface = c.target if isinstance(c.target, Surface) else None
-            self._unfelt = Unfelt(c.contactor, self.facets, self.target, surface, self._bodies, self.name)
+            self._unfelt = Unfelt(c.contactor, self.facets, self.target, surface, self._bodies, self.named, self.name)
         k, closed = self.kinematics, self.state.status != OPEN
         moves = isinstance(k, StepLevel)
         found = self._unfelt.look(self.integration, k.contactor(), k.at, closed, self._converged, known=moves)

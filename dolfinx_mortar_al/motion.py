@@ -101,7 +101,7 @@ class Motion:
 
     @property
     def time_step(self) -> fem.Constant:
-        """Δt (s) of the next step; a number may be assigned."""
+        """Δt (s) of the next step; a number may be assigned between marches, which becomes the Constant's value."""
         return self._time_step
 
     @time_step.setter

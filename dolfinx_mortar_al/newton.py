@@ -18,7 +18,7 @@ from dolfinx_mortar_al.friction_bounds import FrictionBounds
 from dolfinx_mortar_al.linear_solver import EXTERNAL, LinearSolver
 from dolfinx_mortar_al.load import Load
 from dolfinx_mortar_al.places import Places
-from dolfinx_mortar_al.problem import TOLD, ContactProblem, check_problem
+from dolfinx_mortar_al.problem import TOLD, ContactProblem, Snapshot, check_problem
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.ties import PUSHED
@@ -149,19 +149,29 @@ class NewtonSolver:
             before = self.problem.snapshot()
         with self.linear.options:
             result = self._solve(path, may_trust=before is not None)
-            if before is not None and ties is not None and not result.converged and ties.trusts[0]:
-                self.problem.restore(before)  # they do not hold: tied after all
-                ties.trusts[:] = False
+            if before is not None and ties is not None and not result.converged and self._trust_failed(before):
                 iterations = result.iterations
                 result = self._solve(path)
                 result.iterations += iterations
         self.linear.say_unread()
         return result
 
+    def _trust_failed(self, before: Snapshot) -> bool:
+        """Go back to where a solve began that failed; whether it trusted the elasticity of bodies in place of ties, which is
+        over now (collective)."""
+        ties = self.problem.ties
+        if ties is None or not ties.trusts[0]:
+            return False
+        self.problem.restore(before)
+        matters = self._has_trusted or ties.trust_matters()
+        ties.trusts[:] = False
+        return matters
+
     def _solve(self, path: Path | None, *, may_trust: bool = False) -> NewtonResult:
-        """Solve, with PETSc's options in place; whether it `may_trust` the elasticity of bodies, see :class:`Ties`."""
+        """Solve, with PETSc's options in place, where it `may_trust` the elasticity of bodies in place of ties (see
+        :class:`~dolfinx_mortar_al.ties.Ties`)."""
         p, self._path = self.problem, path
-        self._may_trust = may_trust
+        self._may_trust, self._has_trusted = may_trust, False  # once in a solve, and whether it has
         self.linear.begin()
         self.result = NewtonResult()
         self._patterns: list[int] = []
@@ -172,7 +182,7 @@ class NewtonSolver:
         self._may_return, self._knows_step, self._trapped = path is None, False, False
         self._law_since, self._set_since = 0, 0
         self._bounds.begin()
-        self._moves, self._places = 0, Places(LONGEST)
+        self._moves, self._places = 0.0, Places(LONGEST)
         for pair in p.pairs:
             pair.begin()
         p.start_ties()
@@ -420,6 +430,7 @@ class NewtonSolver:
             ties.borne = bear.borne
             return False
         if accepted:
+            places.forget()
             on = bear.along
         elif not resisted:  # what one side alone presses on is pushed away from it, along its surface
             ties.let_be |= bear.alone & bear.rubs
@@ -437,7 +448,7 @@ class NewtonSolver:
             p.measure_ties(self.linear.response)
         if p.move_ties(self.snes.getFunction()[0], bear.along - on, softer=softer):
             places.forget()
-        self._moves += p.is_pressed()  # on the way to a first contact there are as many as it takes
+        self._moves += 1.0 if p.is_pressed() else 0.5  # on the way to a first contact there may be twice as many
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         return True
 
@@ -450,9 +461,9 @@ class NewtonSolver:
         self._may_trust = False
         if measures:
             p.measure_ties(self.linear.response)
-        elastic = ties.elastic_ones()
-        ties.trusts[:] |= elastic
-        return elastic
+        self._has_trusted = ties.elastic_ones()
+        ties.trusts[:] |= self._has_trusted
+        return self._has_trusted
 
     def _guard(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Shorten the step x ← x − y until no cell is inverted and no closed point slides too far."""

@@ -60,8 +60,8 @@ class Places:
 
     @staticmethod
     def _weights(bear: Bearing) -> Array:
-        """(pieces, 1) that make forces shares of the largest ones on each piece that bears something; a tie's own are that on
-        one that next to nothing presses."""
+        """(pieces, 1) that make forces shares of the largest ones on each piece that bears something; where next to nothing
+        presses it, of the tie's own."""
         largest = np.maximum(bear.most, np.linalg.norm(bear.along, axis=1))
         return np.where(bear.borne > 0.0, 1.0 / largest, 0.0)[:, None]
 

@@ -186,6 +186,9 @@ class ContactProblem:
                 ContactPair(contact, self.bodies, self.stopwatch, name)
                 for contact, name in zip(contacts, names, strict=True)
             ]
+        named = [surface for pair in self.pairs for surface in pair.named]
+        for pair in self.pairs:
+            pair.named = named
         #: what a user may change between solves
         self.given = Given(self.comm, self.bodies.bodies, self.pairs)
         #: what marches have moved
@@ -752,10 +755,12 @@ class ContactProblem:
     def is_driven_on(self, du: Array) -> bool:
         """Whether something drives bodies on, along a motion that contact alone would hold them in, and supports and
         obstacles rest in the change du (owned dofs,) of the displacements since the last equilibrium (collective)."""
-        if self.ties is None or not self.ties.drives_on or any(pair.obstacle_moves for pair in self.pairs):
+        if self.ties is None:
             return False
         touch = max((pair.kinematics.touch for pair in self.pairs), default=0.0)
-        return max_over(self.comm, float(np.abs(du[self.bodies.prescribed()]).max(initial=0.0))) <= touch
+        moved = max_over(self.comm, float(np.abs(du[self.bodies.prescribed()]).max(initial=0.0))) > touch
+        rests = not moved and not any(pair.obstacle_moves for pair in self.pairs)
+        return any_over(self.comm, rests and self.ties.drives_on)
 
     def tighten_ties(self) -> None:
         """After such a step: tie the pieces to where they are now; the bulk's forces, which are those before it, are brought

@@ -514,7 +514,7 @@ class _LoadControl(Controller[Step]):
 
     def _slid_on(self, newton: NewtonResult, du: Array) -> bool:
         """Whether bodies have slid or tipped, while supports rest, to where contact holds them no more: by more than a facet,
-        from where it held them as supports would, or else farther for the length of the step than in the one before."""
+        from where it held them as supports would, or else FARTHER times as far for the step's length as in the last one."""
         p = self.problem
         far = p.standing.held or self._going > FARTHER * self._pace
         return newton.unstable and far and p.longest_motion(du) > 1.0 and p.is_driven_on(du)

@@ -8,15 +8,13 @@ they do so without inertia, each node slowed by a dashpot of the body's own noda
 
 in implicit Euler steps of length 1/δ: R(u) + contact + δ k (u − uₙ) = 0. With δ = 1 a node is held about as firmly by where
 it was as by its neighbours, so that Newton has little to do; each easy step is followed by a longer one, and so is one that
-moves the bodies less than the step before, as they come to rest. One that fails, or has a fatal finding, such as a surface
-that has passed through another, is undone and taken shorter. When steps are so long that dashpots bear next to nothing, the
-last one is without. If there is no friction it is steepest descent of the energy in the norm of k: no unstable equilibrium
-stops it for long.
+moves the bodies no farther than the step before, as they come to rest. One that fails, or has a fatal finding, such as a
+surface that has passed through another, is undone and taken shorter. When steps are so long that dashpots bear next to
+nothing, the last one is without. If there is no friction it is steepest descent of the energy in the norm of k: no unstable
+equilibrium stops it for long.
 """
 
 from __future__ import annotations
-
-import numpy as np
 
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem, Dashpots
@@ -36,7 +34,7 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
     the last step, with the iterations of all. Where it has not converged they are not at rest, and the caller undoes it
     (collective)."""
     k, δ, iterations = problem.nodal_stiffness(), FIRST, 0
-    rests, last = False, np.inf
+    rests, last = False, -1.0  # how far the last step moved the bodies (m), none so far
     for _ in range(MAX_STEPS):
         before, since = problem.snapshot(), problem.bodies.get()
         slowed = δ > LEAST
@@ -52,11 +50,11 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
         if result.converged and not any(finding.fatal for finding in problem.findings()):
             way, _ = problem.bodies.farthest(problem.bodies.get() - since)
             problem.commit()
-            if result.iterations <= EASY or way < last:
+            if result.iterations <= EASY or way <= last:
                 δ /= CHANGE
             last = way
         else:
             problem.restore(before)
-            δ, last = δ * CHANGE, 0.0
+            δ, last = δ * CHANGE, -1.0
     result.converged, result.iterations = rests, iterations
     return result

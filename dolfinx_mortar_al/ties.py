@@ -89,7 +89,8 @@ class Ties:
         resistance: (motions, motions) of all pieces together, to their rigid motions in the last equilibrium, as a share of
             that of a tie; at least 1 where it is a stiffness that resists; 0 where that is not known.
         elastic: (motions, motions) projects onto those motions that bodies deform in, and resist.
-        trusts: (1,) whether these are not tied, however much contact presses: it has shown that nothing else is needed.
+        trusts: (1,) whether these are not tied, and count as held, however much contact presses: a state has been found in
+            which they bear what ties bore.
         tied: (pieces,) which contact alone holds.
         let_be: (pieces,) which are not tied in this solve.
         borne: (pieces,) what ties bear in the last equilibrium, as a share of the contact forces.
@@ -140,12 +141,17 @@ class Ties:
     @property
     def is_unstable(self) -> bool:
         """Whether the last equilibrium is one that a piece would leave, along a motion that it is driven on in."""
-        return bool(np.linalg.eigvalsh((self.resistance + self.resistance.T) / 2)[0] < -NEUTRAL)
+        return self._least < -NEUTRAL
 
     @property
     def drives_on(self) -> bool:
-        """Whether anything drives a piece on in the last equilibrium, however little."""
-        return bool(np.linalg.eigvalsh((self.resistance + self.resistance.T) / 2)[0] < 0.0)
+        """Whether anything drives a piece on in the last equilibrium, by more than springs at the nodes could."""
+        return self._least < -WEAK * max(1.0, float(np.abs(self.resistance).max()))
+
+    @property
+    def _least(self) -> float:
+        """What resists a motion least."""
+        return float(np.linalg.eigvalsh((self.resistance + self.resistance.T) / 2)[0])
 
     def far(self) -> Flags:
         """(pieces,) which of those that contact alone holds are farther than their radius from where this solve began
@@ -438,6 +444,15 @@ class Ties:
     def further(self, amounts: Array) -> Array:
         """(pieces, motions) what ties bear more (N) where pieces are so much (ties,) on along their ways (collective)."""
         return self.along(self.softness * amounts @ self.motions)
+
+    def trust_matters(self) -> bool:
+        """Whether more would be tied if elasticity were not trusted (collective)."""
+        _, admissible = self._admissible()
+        trusts, counts = bool(self.trusts[0]), []
+        for self.trusts[:] in (True, False):
+            counts.append(self._soft(admissible).shape[1])
+        self.trusts[:] = trusts
+        return counts[1] > counts[0]
 
     def elastic_ones(self) -> bool:
         """Whether any motion that is tied is one that bodies deform in, and resist."""

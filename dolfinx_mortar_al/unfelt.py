@@ -10,13 +10,14 @@ points. So the nodes of both surfaces, and open points, are looked at once more:
 - a membrane, which bears no compression, has folded over where Newton's iterates were wild: an unstable equilibrium;
 - where nothing at all is in contact, a node that lies in the other body, at any depth, says that the bodies meet with
   surfaces that the pair does not name;
-- what its body's boundary goes on with beyond the end of a surface, unnamed, overlaps the other body unfelt, too;
+- boundary that no pair names, beyond the end of a surface, overlaps the other body unfelt, too;
 - depth is a function of slope one at most: a node that lies deeper than the next integration point is away, and than meshes
   may err, has taken that along, which contact should have felt and undone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import basix
@@ -66,7 +67,7 @@ ELSEWHERE = (
     "the boundary that may ever touch, as contactor and target"
 )
 UNNAMED = (
-    "the body's boundary goes on where the {} (tag {}) ends, and lies in the other body there, which nothing feels: name "
+    "the body's boundary goes on where the {} (tag {}) ends, and lies in what it touches there, which nothing feels: name "
     "these facets, too"
 )
 FOLDS = "a membrane has folded over in the step, which it does in compression alone; take smaller steps"
@@ -97,9 +98,9 @@ class Converged:
 class _Side:
     """A surface, and what is known of its facets."""
 
-    def __init__(self, surface: Surface, target: DeformableTarget, bodies: Bodies) -> None:
+    def __init__(self, surface: Surface, target: DeformableTarget, bodies: Bodies, named: Sequence[Surface]) -> None:
         self.target, self.inside, self.is_membrane = target, Inside(surface, bodies), surface.is_membrane
-        self.beyond, self.tag = Beyond(surface, target, bodies), surface.tag
+        self.beyond, self.tag = Beyond(surface, target, bodies, named), surface.tag
         #: (nodes, gdim) where they were in the last converged state (m)
         self.before = target.nodes
         #: (nf,) which are in contact, and which were then
@@ -192,6 +193,7 @@ class Unfelt:
         contactor: the surface; facets: it, as this rank owns it.
         target: the pair's; surface: it, if it is one.
         bodies: of the problem.
+        named: surfaces of all pairs.
         name: of the pair.
     """
 
@@ -202,16 +204,17 @@ class Unfelt:
         target: Target,
         surface: Surface | None,
         bodies: Bodies,
+        named: Sequence[Surface],
         name: str,
     ) -> None:
         self._comm, self._name, self._facets, self._target = bodies.comm, name, facets, target
         if isinstance(target, SelfTarget):
             return
-        self._contactor = _Side(contactor, DeformableTarget(contactor, bodies, uses_rays=False), bodies)
+        self._contactor = _Side(contactor, DeformableTarget(contactor, bodies, uses_rays=False), bodies, named)
         self._own = self._contactor.target.surface.places_of(facets)
         if isinstance(target, DeformableTarget):
             assert surface is not None
-            self._other = _Side(surface, target, bodies)
+            self._other = _Side(surface, target, bodies, named)
             self._is_of_one = _share_a_piece(contactor, surface, bodies)
 
     def look(
@@ -241,14 +244,17 @@ class Unfelt:
         silent, extents = self._contactor.silent[facet], self._contactor.target.extents[facet]
         open_ = _Points(x0, now.x, X, silent, silent, extents, np.zeros(len(X))).take(silent & np.bool_(not known))
         nodes = self._nodes(self._contactor, self._contactor.of_nodes(spacing))
+        in_contact = any_over(self._comm, closed.any())
         if isinstance(self._target, RigidTarget):
             assert isinstance(before.place, Pose)
             parts = open_, nodes, self._between(self._target.obstacle, spacing)
             said = self._folds((self._contactor,)) or self._findings(
                 [self._at_obstacle(self._target, part, before.place) for part in parts]
             )
-            ends = self._at_obstacle(self._target, self._beyond(self._contactor), before.place)
-            return said + self._unnamed("contactor", self._contactor, ends)
+            if in_contact:
+                ends = self._at_obstacle(self._target, self._beyond(self._contactor), before.place)
+                said = said + self._unnamed("contactor", self._contactor, ends)
+            return said
         self._take_target(at, closed, before)
         others = self._nodes(self._other, np.zeros(len(self._other.target.nodes)))
         said = self._folds((self._contactor, self._other)) or self._findings(
@@ -258,12 +264,13 @@ class Unfelt:
                 self._at_surface(others, self._contactor, look_deep=True, spacing=spacing),
             ]
         )
-        if any_over(self._comm, closed.any()):
-            pairs = ("contactor", self._contactor, self._other), ("target", self._other, self._contactor)
-            for name, side, other in () if self._is_of_one else pairs:
+        if in_contact and not self._is_of_one:
+            for name, side, other in (
+                ("contactor", self._contactor, self._other),
+                ("target", self._other, self._contactor),
+            ):
                 said = said + self._unnamed(name, side, self._at_surface(self._beyond(side), other, look_deep=True))
-            return said
-        if said:
+        if said or in_contact:
             return said
         return self._elsewhere([(nodes, self._other), (others, self._contactor)])
 
@@ -379,8 +386,8 @@ class Unfelt:
 
     def _unnamed(self, name: str, side: _Side, found: _Found) -> list[Finding]:
         """Nodes beyond the end of a surface that lie in the other body, deeper than any error of the meshes (collective)."""
-        k = np.argsort(found.depth)[-1:]
-        mine = [(float(found.depth[i]), tuple(map(float, found.X[i]))) for i in k]
+        k = int(np.argmax(found.depth)) if len(found.depth) else -1
+        mine = [(float(found.depth[k]), tuple(map(float, found.X[k])))] if k >= 0 else []
         deepest, place = max((one for part in self._comm.allgather(mine) for one in part), default=(0.0, ()))
         if deepest <= TOLD:
             return []

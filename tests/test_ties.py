@@ -21,7 +21,7 @@ from dolfinx_mortar_al import (
     reaction,
 )
 from dolfinx_mortar_al.output import Probe
-from dolfinx_mortar_al.reductions import max_over
+from dolfinx_mortar_al.reductions import max_over, min_over
 from dolfinx_mortar_al.verify.meshes import build as build_grids
 from dolfinx_mortar_al.verify.meshes import grid
 from dolfinx_mortar_al.verify.model import hold, space
@@ -546,7 +546,7 @@ def test_a_ladder_stands_at_twice_its_weight(young):
 
     domain, _, tags = distribute(stadium, MPI.COMM_WORLD, 2)
     x = domain.geometry.x[:, :2]
-    x -= -np.array([max_over(MPI.COMM_WORLD, float(-x[:, i].min())) for i in range(2)])
+    x -= [min_over(MPI.COMM_WORLD, float(column.min())) for column in x.T]
     u, g = fem.Function(fem.functionspace(domain, ("Lagrange", 2, (2,)))), fem.Constant(domain, 0.0)
     weight = (ufl.as_vector([0 * g, -1e3 * g]), ufl.dx(domain))
     contacts = [
