@@ -17,7 +17,6 @@ __all__ = ["Beyond"]
 
 Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
-Entities = NDArray[np.int32]
 
 
 class Beyond:

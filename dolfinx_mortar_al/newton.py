@@ -144,12 +144,11 @@ class NewtonSolver:
         With `path` the load is an unknown too, and the present displacements are the prediction of the path.
         """
         self.problem.given.check()
-        ties, before = self.problem.ties, None
-        if ties is not None and ties.may_act:
-            before = self.problem.snapshot()
+        ties = self.problem.ties
+        before = self.problem.snapshot() if ties is not None and ties.may_act else None
         with self.linear.options:
             result = self._solve(path, may_trust=before is not None)
-            if before is not None and ties is not None and not result.converged and self._trust_failed(before):
+            if before is not None and not result.converged and self._trust_failed(before):
                 iterations = result.iterations
                 result = self._solve(path)
                 result.iterations += iterations
@@ -291,7 +290,7 @@ class NewtonSolver:
             if not any(pardoned) and not self._slides(iteration):
                 return None if self._lets_go(iteration) else _Reason.CONVERGED_FNORM_ABS
             if self._moves > MAX_MOVES:
-                self.result.message = f"nothing that resists a slide has been found at {MAX_MOVES} places along it"
+                self.result.message = "nothing that resists a slide has been found, at whatever place"
                 return _Reason.DIVERGED_LOCAL_MIN
             return None
         ties = self.problem.ties
