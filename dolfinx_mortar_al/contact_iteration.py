@@ -123,6 +123,8 @@ class ContactIteration:
         self._left = self._linear.affordable_solves()
         self._total.set(0.0)
         self._evaluate()
+        if p.gives_way().any():
+            return None  # nothing would resist these steps along surfaces: ties are to hold what friction held
         settled, whole = p.contact_pattern() == self._before, share == 1.0
         if settled and not whole:
             return None

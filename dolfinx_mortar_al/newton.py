@@ -47,7 +47,8 @@ WANDERS_AFTER = 8  # iterations without progress after which friction bounds are
 SETTLED = 3  # if in so many of them, the last, no point has opened or closed
 PUSHED_ALONG = 1e-3  # the same along surfaces with friction: a tie is not to bear what friction does not
 SLIDES = 0.1  # of the contact forces: what is left of a coarse mesh's pressures along a slide is less
-MAX_MOVES = 20  # places that a sliding piece is tied to in a solve
+MAX_MOVES = 20  # places that a sliding piece is tied to while its tie bears no less than HALVED of the least so far
+HALVED = 0.5
 LETS_GO = 1e-3  # relative residual from which on Newton knows which points are beyond the target's end
 WILD = 10.0  # times the residual that a solve starts from
 GIVES_UP_AFTER, NO_PROGRESS = 16, 0.1  # as it is when five iterations in a row have relative residuals above this
@@ -181,7 +182,7 @@ class NewtonSolver:
         self._may_return, self._knows_step, self._trapped = path is None, False, False
         self._law_since, self._set_since = 0, 0
         self._bounds.begin()
-        self._moves, self._places = 0.0, Places(LONGEST)
+        self._moves, self._least_borne, self._places = 0.0, np.inf, Places(LONGEST)
         for pair in p.pairs:
             pair.begin()
         p.start_ties()
@@ -447,9 +448,15 @@ class NewtonSolver:
             p.measure_ties(self.linear.response)
         if p.move_ties(self.snes.getFunction()[0], bear.along - on, softer=softer):
             places.forget()
-        self._moves += 1.0 if p.is_pressed() else 0.5  # on the way to a first contact there may be twice as many
+        self._count_move(borne)
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         return True
+
+    def _count_move(self, borne: float) -> None:
+        """Count a place at which ties bear so much; on the way to a first contact there may be twice as many."""
+        if borne <= HALVED * self._least_borne:
+            self._moves, self._least_borne = 0.0, borne
+        self._moves += 1.0 if self.problem.is_pressed() else 0.5
 
     def _trusts_elasticity(self, borne: float, *, measures: bool) -> bool:
         """Whether ties that bear so much are let go in a state that would be accepted, as bodies deform along them and

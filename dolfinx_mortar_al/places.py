@@ -67,14 +67,15 @@ class Places:
 
     def onwards(self, bear: Bearing, resisted: bool, length: Callable[[Array], float]) -> Array:
         """How far on to tie the pieces: by as much as would make the ties bear so much more, (pieces, motions) in N. It is
-        to where they should bear nothing or, where that is backwards or too far and nothing has resisted, twice as far each
-        time. `length` is that of a way in target facets."""
+        to where they should bear nothing or, where that is too far or backwards for a piece and nothing has resisted, twice
+        as far each time. `length` is that of a way in target facets."""
         f = on = bear.along
         if self._forces:
             weights = self._weights(bear)
             on = self._balanced(bear, weights)
-            forwards = float(np.sum(weights**2 * on * f)) > 0.0
-            if not resisted and not (forwards and length(on) <= self._longest):
+            work = np.sum(weights**2 * on * f, axis=1)
+            forwards = float(work.sum()) > 0.0
+            if not resisted and not (np.all(work >= 0.0) and forwards and length(on) <= self._longest):
                 self._stride = 2.0 * self._stride + 1.0
                 on = (1.0 + self._stride) * f
             elif not forwards:

@@ -701,29 +701,42 @@ class ContactProblem:
 
     def start_ties(self) -> None:
         """At the start of a solve: along motions that next to nothing resisted in the last equilibrium, or before the first
-        one along those that what touches does not hold (collective)."""
-        if self.ties is not None:
-            self._pressed[:], self._slid[:] = 0.0, False
-            first = any(pair.active.guessed for pair in self.pairs)
-            self.ties.begin(self._contact_motions.held_by_touch if first else None)
+        one along those that what touches does not hold; along none where dashpots resist all (collective)."""
+        if self.ties is None:
+            return
+        self._pressed[:], self._slid[:] = 0.0, False
+        if self.dashpots is not None:
+            self.ties.rest()
+        else:
+            self.ties.begin(self._contact_motions.held_by_touch if self.is_at_start else None)
 
     def catch_slipping(self, f: PETSc.Vec, *, begins: bool) -> None:
         """In the middle of a solve: where all points of another pair with friction slip tie what it alone held; f, the
         residual, is brought up to date. What slips where it `begins` did so in the last equilibrium, in which what resists
         was measured (collective)."""
-        if self.ties is None:
-            return
-        slip, stick = self._contact_motions.slip_and_stick()
-        new = (stick == 0) & (slip > 0) & self._rough & ~self._slid
-        if not new.any():
+        new = self.gives_way()
+        if self.ties is None or not new.any():
             return
         self._slid |= new
         if begins:
             return
+        _, stick = self._contact_motions.slip_and_stick()
         self.bulk_forces.array[:] -= self.ties.forces()
         self.ties.catch(partial(self._contact_motions.held, stick == 0))
         self.bulk_forces.array[:] += self.ties.forces()
         self.add_contact(f)
+
+    def gives_way(self) -> NDArray[np.bool_]:
+        """(pairs,) which pairs with friction slip at all points for the first time in this solve, where contact alone holds
+        bodies (collective)."""
+        if self.ties is None or self.dashpots is not None:
+            return np.zeros(len(self.pairs), dtype=bool)
+        return np.asarray(self._slips_all_over() & ~self._slid)
+
+    def _slips_all_over(self) -> NDArray[np.bool_]:
+        """(pairs,) which pairs with friction slip at all points (collective)."""
+        slip, stick = self._contact_motions.slip_and_stick()
+        return np.asarray((stick == 0) & (slip > 0) & self._rough)
 
     def contact_holds(self) -> bool:
         """Whether contact alone holds pieces as firmly as supports would, in the equilibrium just found: stability of these
@@ -783,6 +796,7 @@ class ContactProblem:
             self.ties.soften()
         self.ties.move(bear)
         changed = self.ties.engage()
+        self._slid &= self._slips_all_over()  # what sticks again may be what resists
         self.bulk_forces.array[:] += self.ties.forces()
         self.add_contact(f)
         return changed
@@ -806,7 +820,10 @@ class ContactProblem:
         return [words for force, words in found if force >= OUT_OF_BALANCE * worst]
 
     def about_to_slide(self) -> list[str]:
-        """Of pairs that hold a floating piece and bear nearly all the friction that they can: what to do (collective)."""
+        """Of pairs that hold a floating piece and bear nearly all the friction that they can, in an equilibrium: what to do
+        (collective)."""
+        if self.is_at_start:
+            return []
         loose = np.zeros(self.bodies.pieces, dtype=bool)
         for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
             loose[[first + piece.number for piece in body.floating]] = True
@@ -873,6 +890,11 @@ class ContactProblem:
         if self.lacks_stiffness:
             self.assemble_bulk()
             self._look_what_bears()
+
+    @property
+    def is_at_start(self) -> bool:
+        """Whether there has been no equilibrium yet."""
+        return any(pair.active.guessed for pair in self.pairs)
 
     @property
     def lacks_stiffness(self) -> bool:

@@ -57,6 +57,11 @@ MOVED_ON = (
     "they were moved on, each node slowed by a dashpot, to where they come to rest, friction following their way; "
     "dynamics.march shows such motions in time"
 )
+SET_DOWN = (
+    "contact alone holds bodies, and no equilibrium was found from where the meshes have them: they were let down, each node "
+    "slowed by a dashpot, to where they come to rest, friction following their way; have them touch on the meshes where they "
+    "are to lie"
+)
 LEFT = (
     "the bodies have left an unstable equilibrium for a stable one some way off: they snapped or buckled, and which way is "
     "chance; dynamics.march shows such motions in time"
@@ -521,14 +526,25 @@ class _LoadControl(Controller[Step]):
 
     @property
     def _may_relax(self) -> bool:
-        """Whether bodies may be let go: what may slide or roll has ties instead, and a membrane's start a tension."""
-        return self.problem.standing.held and not self.problem.lacks_stiffness and self.smallest <= stepping.RELAXED
+        """Whether bodies may be let go: what may slide or roll has ties instead once it stands, and a membrane's start a
+        tension."""
+        holds = self.problem.standing.held or self._sets_down
+        return holds and not self.problem.lacks_stiffness and self.smallest <= stepping.RELAXED
+
+    @property
+    def _sets_down(self) -> bool:
+        """Whether contact alone holds bodies and has held none yet."""
+        return bool(self.problem.floating) and self.problem.is_at_start
+
+    @property
+    def lets_go(self) -> float:
+        return 1.0 if self._sets_down else stepping.RELAXED
 
     def relax(self, length: float) -> Attempt | None:
         p, leg = self.problem, self._legs[self.leg]
         if not self._may_relax or (self._restless and p.floating):
             return None
-        before = p.bodies.get()
+        before, words = p.bodies.get(), SET_DOWN if self._sets_down else MOVED_ON
         self._x = leg.x + length
         self._tried = self._words(leg, self._x)
         with leg.watch:
@@ -536,7 +552,7 @@ class _LoadControl(Controller[Step]):
         attempt = _judged(p, relax(p, self.solver))
         self._restless = not attempt.good
         if attempt.good:
-            attempt.findings.append(Finding("leap (m)", *p.bodies.farthest(p.bodies.get() - before), MOVED_ON, False))
+            attempt.findings.append(Finding("leap (m)", *p.bodies.farthest(p.bodies.get() - before), words, False))
         self._leapt, self._unstable = True, UNSTABLE in attempt.findings
         return attempt
 

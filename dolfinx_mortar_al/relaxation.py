@@ -10,8 +10,10 @@ in implicit Euler steps of length 1/δ: R(u) + contact + δ k (u − uₙ) = 0. 
 it was as by its neighbours, so that Newton has little to do; each easy step is followed by a longer one, and so is one that
 moves the bodies no farther than the step before, as they come to rest. One that fails, or has a fatal finding, such as a
 surface that has passed through another, is undone and taken shorter. When steps are so long that dashpots bear next to
-nothing, the last one is without. If there is no friction it is steepest descent of the energy in the norm of k: no unstable
-equilibrium stops it for long.
+nothing, and what falls has come down, the last one is without. If there is no friction it is steepest descent of the energy
+in the norm of k: no unstable equilibrium stops it for long.
+
+Loose bodies that nothing has held yet come down in the same way onto what they meet.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ __all__ = ["relax"]
 
 FIRST = 1.0  # δ of the first step
 CHANGE = 4.0  # of δ from step to step
-LEAST = 1e-5  # δ below which a step is taken without dashpots
+LEAST = 1e-5  # δ below which a step is taken without dashpots,
+NEAR = 0.01  # once no larger share of the forces was off balance where the last one began: what stands is not to fall
 MOST = 100.0  # δ beyond which it is not for want of time that steps fail
 MAX_STEPS = 80  # after which the bodies count as moving on for good
 
@@ -35,9 +38,10 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
     (collective)."""
     k, δ, iterations = problem.nodal_stiffness(), FIRST, 0
     rests, last = False, -1.0  # how far the last step moved the bodies (m), none so far
+    off = 1.0  # share of the forces that was off balance where it began
     for _ in range(MAX_STEPS):
         before, since = problem.snapshot(), problem.bodies.get()
-        slowed = δ > LEAST
+        slowed = δ > LEAST or off > NEAR
         problem.dashpots = Dashpots(δ * k, since) if slowed else None
         try:
             result = solver.solve()
@@ -52,7 +56,7 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
             problem.commit()
             if result.iterations <= EASY or way <= last:
                 δ /= CHANGE
-            last = way
+            last, off = way, max(result.norms[0]) * solver.rtol
         else:
             problem.restore(before)
             δ, last = δ * CHANGE, -1.0

@@ -29,7 +29,7 @@ __all__ = ["Attempt", "Bar", "Controller", "Event", "March", "Step", "StepFailur
 EASY = 8  # Newton iterations up to which a step that was cut may grow again
 GROWTH = 2.0  # of a step from one to the next at most
 CUT = 1 / 2  # of a step after a failure
-RELAXED = 2.0**-4  # of an asked-for step: with as little the bodies are let go to where they come to rest
+RELAXED = 2.0**-4  # of an asked-for step: with as little bodies are let go to where they come to rest
 EVENT = 2.0**-6  # of an asked-for step: how closely an event is met
 
 
@@ -83,11 +83,16 @@ class Controller(ABC, Generic[S]):
         problem: to solve.
         smallest: length below which the march gives up.
         leg: number of the part of the way that the next step is on; each begins with a step of the asked-for length.
+        lets_go: length from which on, where a step fails, bodies are let go to where they come to rest.
     """
 
     problem: ContactProblem
     smallest: float
     leg: int = 0
+
+    @property
+    def lets_go(self) -> float:
+        return RELAXED
 
     def begin(self) -> None:
         """Called once, before the first step."""
@@ -161,7 +166,7 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
             reasons.append(f"{control.at(tried=True)}: {attempt.message}")
             control.undo()
             last = size < control.smallest
-            moved = control.relax(length) if length <= RELAXED and (last or not relaxed) else None
+            moved = control.relax(length) if length <= control.lets_go and (last or not relaxed) else None
             if moved is not None:
                 relaxed = True
                 iterations += moved.newton.iterations

@@ -176,15 +176,24 @@ class Ties:
         """A solve begins: tie motions that next to nothing resisted in the last equilibrium, or before the first one those
         that what touches does not hold: of the squares of motions (owned dofs, motions) `holding` gives the mean of what it
         holds, (motions, motions) (collective)."""
-        self.borne[:], self.let_be[:], self.softness, self.are_loose = 0.0, False, 1.0, False
-        self._start = self._bodies.get()
-        self._was_held = np.abs(self.resistance).reshape(self._bodies.pieces, -1).max(axis=1, initial=0.0) > NEUTRAL
+        self._renew()
         if holding is None:
             self.engage()
             return
         R, admissible = self._admissible()
         unheld = [self._unheld(R, p, basis, holding) for p, basis in zip(self._pieces, admissible, strict=True)]
         self._tie(R, self._together(unheld))
+
+    def rest(self) -> None:
+        """A solve begins in which something else resists all motions: nothing is tied (collective)."""
+        self._renew()
+        self._tie(np.zeros(0), np.zeros((self._n, 0)))
+
+    def _renew(self) -> None:
+        """A solve begins (collective)."""
+        self.borne[:], self.let_be[:], self.softness, self.are_loose = 0.0, False, 1.0, False
+        self._start = self._bodies.get()
+        self._was_held = np.abs(self.resistance).reshape(self._bodies.pieces, -1).max(axis=1, initial=0.0) > NEUTRAL
 
     def engage(self) -> bool:
         """Tie motions that next to nothing resists; whether they are others than before (collective)."""
