@@ -336,7 +336,9 @@ class Unfelt:
     ) -> _Found:
         """Points beside the other surface; `look_deep` if they are to be apart from it even where they have not passed,
         `spacing` (nf,) of the integration points on it, if they are there (m)."""
-        passed = points.silent & other.passed(points.x0, points.x)
+        passed = points.silent.copy()
+        if passed.any():
+            passed[passed] = other.passed(points.x0[passed], points.x[passed])
         suspect = passed.copy()
         if look_deep:
             least = np.where(points.silent, SHARE / 2, TOLD / 2) * np.maximum(points.extent, other.target.extents.min())
