@@ -28,6 +28,7 @@ from dolfinx_mortar_al.monitors import Finding, warn
 from dolfinx_mortar_al.multiplier import MultiplierSpace
 from dolfinx_mortar_al.obstacles import Pose
 from dolfinx_mortar_al.pair_findings import PairFindings
+from dolfinx_mortar_al.pieces import seen_by_any
 from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.reductions import any_over, max_over, min_over, sum_over
 from dolfinx_mortar_al.segments import UNCOVERED, Segments, ends_of, segments_of
@@ -436,9 +437,7 @@ class ContactPair(PairFindings):
         if min_over(comm, float(self._depth(k.x).min(initial=np.inf))) < -k.touch:
             return
         body, d = self._body1, self.gdim
-        mine = np.isin(
-            body.piece, sorted(set().union(*comm.allgather(set(body.piece[self.facets.dofs].ravel().tolist()))))
-        )
+        mine = np.isin(body.piece, seen_by_any(comm, body.piece[self.facets.dofs]))
         x = body.space.tabulate_dof_coordinates()[:, :d] + body.u.x.array.reshape(-1, d)
         depth = self._depth(x[mine])
         least = min_over(comm, float(depth.min(initial=np.inf)))

@@ -7,6 +7,7 @@ from dolfinx import mesh
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.pieces import seen_by_any
 from dolfinx_mortar_al.projection import dot
 from dolfinx_mortar_al.rays import hits
 from dolfinx_mortar_al.search import ray_candidates
@@ -87,7 +88,7 @@ class Inside:
             cells = cell_of.array[cell_of.offsets[facets]]
             return np.asarray(body.piece[body.space.dofmap.list[cells][:, 0]])
 
-        mine = np.unique(pieces(self._surface.owned_facets()))
+        behind = seen_by_any(domain.comm, pieces(self._surface.owned_facets()))
         outer = np.sort(mesh.exterior_facet_indices(topology))
-        outer = outer[np.isin(pieces(outer), np.concatenate(domain.comm.allgather(mine)))]
+        outer = outer[np.isin(pieces(outer), behind)]
         return Surface(domain, mesh.meshtags(domain, d - 1, outer, np.ones(len(outer), dtype=np.int32)), 1)

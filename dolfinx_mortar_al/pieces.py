@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import basix
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 
-__all__ = ["Piece", "connected", "floating_pieces", "pieces_of", "rigid_motions"]
+__all__ = ["Piece", "connected", "floating_pieces", "pieces_of", "rigid_motions", "seen_by_any"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -46,8 +47,13 @@ def pieces_of(V: fem.FunctionSpace) -> tuple[Index, int]:
     """(nodes,) the number of the piece of V's mesh that each node of this rank belongs to, ghosts included, and how many
     pieces there are (collective)."""
     label = _labels(V)
-    known = np.array(sorted(set().union(*V.mesh.comm.allgather(set(map(int, label))))), dtype=np.int64)
+    known = seen_by_any(V.mesh.comm, label)
     return np.searchsorted(known, label), len(known)
+
+
+def seen_by_any(comm: MPI.Intracomm, pieces: Index) -> Index:
+    """The numbers of pieces that any rank names, each once and in order (collective)."""
+    return np.unique(np.concatenate(comm.allgather(np.unique(pieces))))
 
 
 def floating_pieces(V: fem.FunctionSpace, label: Index, prescribed: fem.Function, stiffness: PETSc.Mat) -> list[Piece]:

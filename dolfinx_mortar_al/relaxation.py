@@ -26,8 +26,8 @@ __all__ = ["relax"]
 
 FIRST = 1.0  # δ of the first step
 CHANGE = 4.0  # of δ from step to step
-LEAST = 1e-5  # δ below which a step is taken without dashpots,
-NEAR = 0.01  # once no larger share of the forces was off balance where the last one began: what stands is not to fall
+LEAST = 1e-5  # δ below which a step is taken without dashpots; where loose bodies come down
+NEAR = 0.01  # only if no larger share of the forces was off balance where the last one began: what falls still goes on
 MOST = 100.0  # δ beyond which it is not for want of time that steps fail
 MAX_STEPS = 80  # after which the bodies count as moving on for good
 
@@ -38,10 +38,10 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
     (collective)."""
     k, δ, iterations = problem.nodal_stiffness(), FIRST, 0
     rests, last = False, -1.0  # how far the last step moved the bodies (m), none so far
-    off = 1.0  # share of the forces that was off balance where it began
+    comes_down, off = problem.is_at_start, 1.0  # the share of the forces that was off balance where the last step began
     for _ in range(MAX_STEPS):
         before, since = problem.snapshot(), problem.bodies.get()
-        slowed = δ > LEAST or off > NEAR
+        slowed = δ > LEAST or (comes_down and off > NEAR)
         problem.dashpots = Dashpots(δ * k, since) if slowed else None
         try:
             result = solver.solve()

@@ -31,6 +31,7 @@ from dolfinx_mortar_al.inside import Inside
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
+from dolfinx_mortar_al.pieces import seen_by_any
 from dolfinx_mortar_al.projection import Projection
 from dolfinx_mortar_al.reductions import any_over, max_over
 from dolfinx_mortar_al.self_target import SelfTarget
@@ -448,6 +449,5 @@ def _share_a_piece(a: Surface, b: Surface, bodies: Bodies) -> bool:
     if a.mesh is not b.mesh:
         return False
     body = bodies.bodies[bodies.index(a.mesh)]
-    mine = [set(body.piece[Facets.of(surface, body.space).dofs].ravel().tolist()) for surface in (a, b)]
-    parts = [set().union(*bodies.comm.allgather(part)) for part in mine]
-    return bool(parts[0] & parts[1])
+    first, second = (seen_by_any(bodies.comm, body.piece[Facets.of(surface, body.space).dofs]) for surface in (a, b))
+    return bool(np.isin(first, second).any())
