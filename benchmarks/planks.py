@@ -19,11 +19,12 @@ from time import perf_counter
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
-from mpi4py import MPI
+from dolfinx import fem
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, materials, obstacles, quasistatic
+from dolfinx_mortar_al.verify.meshes import build as build_grids
+from dolfinx_mortar_al.verify.meshes import grid
 
 LENGTH, DEPTH, SPAN, WEIGHT = 10.0, 0.5, 6.0, 1000.0  # m, m, m, N/m³
 BLOCK = (2.0, 1.0)  # m
@@ -69,13 +70,9 @@ def rectangle(
     scene: Scene, corner: tuple[float, float], size: tuple[float, float], cells: tuple[int, int]
 ) -> tuple[Body, Surface, Surface, fem.Constant]:
     """A body, its lower and its upper side, and its weight (N/m³)."""
-    (x, y), (dx, dy) = corner, size
-    domain = mesh.create_rectangle(
-        MPI.COMM_WORLD, [[x, y], [x + dx, y + dy]], list(cells), getattr(mesh.CellType, scene.cell)
-    )
-    sides = [mesh.locate_entities_boundary(domain, 1, lambda X, h=h: np.isclose(X[1], h)) for h in (y, y + dy)]
-    facets, order = np.concatenate(sides), np.argsort(np.concatenate(sides))
-    tags = mesh.meshtags(domain, 1, facets[order], np.repeat(np.int32([LOWER, UPPER]), [len(f) for f in sides])[order])
+    axes = [np.linspace(start, start + length, n + 1) for start, length, n in zip(corner, size, cells, strict=True)]
+    sides = {(1, 0): LOWER, (1, -1): UPPER}
+    domain, _, tags = build_grids([grid(axes, sides, order=1, simplices=scene.cell == "triangle")])
     u, weight = fem.Function(fem.functionspace(domain, ("Lagrange", scene.order, (2,)))), fem.Constant(domain, 0.0)
     down = (ufl.as_vector([0 * weight, -weight]), ufl.dx(domain))
     body = Body(u, materials.neo_hookean(scene.young, 0.3), external=down)
