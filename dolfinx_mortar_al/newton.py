@@ -51,6 +51,7 @@ MAX_MOVES = 20  # places that a sliding piece is tied to while its tie bears no 
 HALVED = 0.5
 LETS_GO = 1e-3  # relative residual from which on Newton knows which points are beyond the target's end
 WILD = 10.0  # times the residual that a solve starts from
+NAMED = 3  # blocks that a failed solve names, the worst first
 GIVES_UP_AFTER, NO_PROGRESS = 16, 0.1  # as it is when five iterations in a row have relative residuals above this
 
 
@@ -62,6 +63,9 @@ class NewtonResult:
     iterations: int = 0
     message: str = ""
     norms: list[list[float]] = field(default_factory=list)
+
+    #: what a solve that failed says of the equilibrium itself, and the way out
+    advice: str = ""
     #: of the Jacobian's determinant in each iteration, where MUMPS solves
     signs: list[float] = field(default_factory=list)
 
@@ -209,7 +213,7 @@ class NewtonSolver:
                 self.result.converged = False
                 self.result.message = "an inverted cell (det F ≤ 0) in the converged state"
         else:
-            self.result.message = (self.result.message or self._failure(reason)) + self._advice()
+            self.result.message, self.result.advice = self.result.message or self._failure(reason), self._advice()
         return self._singular() if reason == _Reason.DIVERGED_LINEAR_SOLVE else self.result
 
     def _iterate(self) -> None:
@@ -232,7 +236,8 @@ class NewtonSolver:
         excuse = self.linear.excuse()
         if excuse is None:
             self.problem.slack[:] = True
-            self.result.message = "the Jacobian is singular: some displacement meets no stiffness" + self._advice()
+            self.result.message = "the Jacobian is singular: some displacement meets no stiffness"
+            self.result.advice = self._advice()
         else:
             self.result.message = excuse
         self.snes = self._create()
@@ -571,7 +576,10 @@ class NewtonSolver:
         if not self.result.norms:
             return "the residual is not a number at the start: a cell is inverted, or a law, load or condition has none"
         names, last = ["equilibrium", *(pair.name for pair in self.problem.pairs)], self.result.norms[-1]
-        open_blocks = ", ".join(f"{n} at {v:.1e} of its tolerance" for n, v in zip(names, last, strict=True) if v > 1)
+        far = sorted((-v, n) for n, v in zip(names, last, strict=True) if v > 1)
+        open_blocks = ", ".join(f"{n} at {-v:.1e} of its tolerance" for v, n in far[:NAMED])
+        open_blocks += f" and {len(far) - NAMED} more" if len(far) > NAMED else ""
+        open_blocks = open_blocks or "forces and gaps are right, but what sticks or is tied does not come to rest"
         known = {
             _Reason.DIVERGED_MAX_IT: "no convergence",
             _Reason.DIVERGED_LINEAR_SOLVE: "the linear solve failed",
@@ -592,7 +600,7 @@ class NewtonSolver:
         return bool(worst) and self.result.signs[int(np.argmin(worst))] < 0
 
     def _advice(self) -> str:
-        """What a failed solve says of the equilibrium itself."""
+        """What a failed solve says of the equilibrium itself, after a semicolon."""
         p = self.problem
         parts = [str(node) for pair in p.pairs if (node := pair.pushed_node()) is not None]
         off = self.snes.getFunction()[0].getNestSubVecs()[0]

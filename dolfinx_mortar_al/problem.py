@@ -58,9 +58,9 @@ ROUNDED = (
     "small a load, or lies far from the origin; move the meshes there, or take these forces for none"
 )
 SLIDE = (
-    "share of the contact forces that push it where next to nothing resists, from pressures on a coarse mesh or a load under "
-    "which it is about to slide or tip, of which it may be a large part; a tie to where it was bears them, and contact does "
-    "not; refine its surface, or prescribe the motion that is free, of one node"
+    "share of the contact forces on it, or of a load that pushes it along, that contact does not bear but a tie to where it "
+    "was, as next to nothing resists: from pressures on a coarse mesh, or a load under which it is about to slide or tip, of "
+    "which it may be a large part; refine its surface, or prescribe the motion that is free, of one node"
 )
 SLIDES = (
     "{}: {:.1%} of the friction that its pressure allows is in use in the last of these states, and little else keeps a body "
@@ -70,6 +70,7 @@ NEARLY_ALL = 0.9  # of the friction: what the next sixteenth of a load's increme
 TOLD = 1e-3  # share of the contact forces that a tie may bear, or round-off may be, unsaid
 OUT_OF_BALANCE = 0.1  # of the worst: loose bodies that a failed solve names
 LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
+UNLOADED = 1e-9  # of the most that has pressed on a piece: what Newton's tolerance leaves of it presses on nothing
 NOISE = 1e-3  # share of round-off in a body's forces below which a tie bears nothing, and contact does not press on it
 SPARE = 2  # rings of target facets around contact in the plane that matrices have room for from the start
 UNSEEN = 1e-6  # share of round-off in a body's forces below which a load counts as none from the start
@@ -104,18 +105,21 @@ class Standing:
     Attributes:
         held: whether supports, or contact as firmly as supports, held all pieces.
         free: (pieces,) which ones nothing presses on.
+        pressing: (pieces,) the most that contact has pressed on each with in an equilibrium (N).
     """
 
     held: bool
     free: NDArray[np.bool_]
+    pressing: Array
 
     def snapshot(self) -> dict[str, Array]:
-        """Copies of both."""
-        return {"held": np.array([float(self.held)]), "free": self.free.astype(float)}
+        """Copies of all."""
+        held = np.array([float(self.held)])
+        return {"held": held, "free": self.free.astype(float), "pressing": self.pressing.copy()}
 
     def restore(self, saved: dict[str, Array]) -> None:
         """Back to a snapshot."""
-        self.held, self.free = bool(saved["held"][0]), saved["free"] > 0
+        self.held, self.free, self.pressing = bool(saved["held"][0]), saved["free"] > 0, saved["pressing"].copy()
 
 
 class ContactProblem:
@@ -325,7 +329,7 @@ class ContactProblem:
         # which pieces nothing presses on, as found last
         self._free: NDArray[np.bool_] = np.zeros(self.bodies.pieces, dtype=bool)
         #: of pieces, in the last equilibrium
-        self.standing = Standing(not self.floating, self._free)
+        self.standing = Standing(not self.floating, self._free, np.zeros(self.bodies.pieces))
         if self.ties is not None:
             self.members |= {"ties": self.ties, "standing": self.standing}
         for k in range(1, n):
@@ -623,7 +627,7 @@ class ContactProblem:
             return []
         now, before = self._in_contact()
         pressing = self._pressing()
-        self._free = np.asarray(pressing <= self._no_press())
+        self._free = np.asarray(pressing <= np.maximum(self._no_press(), UNLOADED * self.standing.pressing))
         rounded = self._contact_round_off() / np.maximum(pressing, 1e-300)
         found = []
         for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
@@ -908,6 +912,7 @@ class ContactProblem:
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""
         self.standing.free, self.standing.held = self._free, not self.floating or self.contact_holds()
+        self.standing.pressing = np.maximum(self.standing.pressing, self._pressing())
         self._look_what_bears()
         self.bodies.begin()
         if self.ties is not None:

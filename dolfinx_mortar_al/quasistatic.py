@@ -134,7 +134,7 @@ def equilibrate(problem: ContactProblem, *, solver: NewtonSolver | None = None) 
     if not attempt.good:
         problem.restore(before)
         problem.show_committed()
-        raise StepFailure(f"no convergence in the loads as they stand: {attempt.message}")
+        raise StepFailure(f"no convergence in the loads as they stand: {attempt.message}{attempt.newton.advice}")
     problem.loads.note(None)
     problem.commit()
     Reporter(problem.comm.rank).report(attempt.findings, "the loads as they stand")
@@ -507,7 +507,7 @@ class _LoadControl(Controller[Step]):
                 attempt.findings.append(Finding(f"{pair.name}: contact lost in a leap", 0.0, (), LEAPT_OFF, False))
         if attempt.good and self.problem.has_thrown_off():
             attempt.good, attempt.message = False, THROWN_OFF
-        if attempt.good and attempt.newton.leapt and self._may_relax and not self._restless:
+        if attempt.good and attempt.newton.leapt and self._has_stood and not self._restless:
             # where Newton has landed is chance: the way there is found from nearby, with friction along it
             attempt.good, attempt.message = False, LEAPS
         again = not attempt.newton.converged and not self._tried_from_last and bool(self.problem.floating)
@@ -525,9 +525,14 @@ class _LoadControl(Controller[Step]):
         return newton.unstable and far and p.longest_motion(du) > 1.0 and p.is_driven_on(du)
 
     @property
-    def _may_relax(self) -> bool:
+    def may_relax(self) -> bool:
         """Whether bodies may be let go: what may slide or roll has ties instead once it stands, and a membrane's start a
-        tension."""
+        tension; what contact alone holds, and has not come to rest, is let go once."""
+        return self._has_stood and not (self._restless and self.problem.floating)
+
+    @property
+    def _has_stood(self) -> bool:
+        """Whether bodies stand, or are to be set down: others have ties, or a tension, for a start."""
         holds = self.problem.standing.held or self._sets_down
         return holds and not self.problem.lacks_stiffness and self.smallest <= stepping.RELAXED
 
@@ -540,10 +545,8 @@ class _LoadControl(Controller[Step]):
     def lets_go(self) -> float:
         return 1.0 if self._sets_down else stepping.RELAXED
 
-    def relax(self, length: float) -> Attempt | None:
+    def relax(self, length: float) -> Attempt:
         p, leg = self.problem, self._legs[self.leg]
-        if not self._may_relax or (self._restless and p.floating):
-            return None
         before, words = p.bodies.get(), SET_DOWN if self._sets_down else MOVED_ON
         self._x = leg.x + length
         self._tried = self._words(leg, self._x)

@@ -94,6 +94,11 @@ class Controller(ABC, Generic[S]):
     def lets_go(self) -> float:
         return RELAXED
 
+    @property
+    def may_relax(self) -> bool:
+        """Whether bodies may be let go where a step has failed."""
+        return False
+
     def begin(self) -> None:
         """Called once, before the first step."""
 
@@ -119,9 +124,9 @@ class Controller(ABC, Generic[S]):
     def attempt(self, length: float, nominal: bool) -> Attempt:
         """Predict, solve and judge a step (collective)."""
 
-    def relax(self, length: float) -> Attempt | None:
-        """Where steps fail: let the bodies go to where they come to rest, `length` on; None if they cannot (collective)."""
-        return None
+    def relax(self, length: float) -> Attempt:
+        """Where steps fail: let the bodies go to where they come to rest, `length` on (collective)."""
+        raise NotImplementedError
 
     @abstractmethod
     def undo(self) -> None:
@@ -166,16 +171,17 @@ def run(control: Controller[S], bar: Bar) -> Iterator[S]:
             reasons.append(f"{control.at(tried=True)}: {attempt.message}")
             control.undo()
             last = size < control.smallest
-            moved = control.relax(length) if length <= control.lets_go and (last or not relaxed) else None
-            if moved is not None:
-                relaxed = True
+            moved = None
+            if control.may_relax and length <= control.lets_go and (last or not relaxed):
+                bar.lets_go(control.at(tried=True))
+                moved, relaxed = control.relax(length), True
                 iterations += moved.newton.iterations
                 if not moved.good:
                     control.undo()
             if moved is None or not moved.good:
                 if last:
                     control.problem.show_committed()
-                    raise StepFailure(control.failure(attempt.message))
+                    raise StepFailure(control.failure(attempt.message + attempt.newton.advice))
                 continue
             attempt, size = moved, length
         if control.event() and length > EVENT:
@@ -323,5 +329,12 @@ class Bar:
 
     def rejected(self, where: str, why: str) -> None:
         """A trial failed."""
+        self._write(f"{where} rejected: {why}")
+
+    def lets_go(self, where: str) -> None:
+        """What comes next may take long."""
+        self._write(f"{where}: the bodies are let go, each node slowed by a dashpot, until they come to rest")
+
+    def _write(self, line: str) -> None:
         if self._bar is not None and self._problem.comm.rank == 0:
-            self._bar.write(f"{where} rejected: {why}", file=sys.stderr)
+            self._bar.write(line, file=sys.stderr)

@@ -46,6 +46,7 @@ SAME = 0.1  # difference of two projections onto motions that count as the same
 WEAK = 1e-6  # share of a tie that springs at the nodes have, which make the sparse Jacobian regular,
 WEAK_TO_MULTIGRID = 1e-3  # where multigrid inverts it
 PUSHED = 0.01  # of the contact forces: what loads push with must be resisted by more than a tie
+CLEAR = 0.03  # that share from which on it is clear of what coarse meshes push with: a tie bears but so much of it
 SOFTER = 0.1  # a tie at the next place, where a load pushes its piece against others: what it bears falls tenfold, too,
 SOFTEST = 1e-9  # where all points slip and a spring of a millionth of the bodies' stiffness holds
 THROWN = (
@@ -419,7 +420,7 @@ class Ties:
         for together in touched:
             pushed[together & self.tied] = pushed[together & self.tied].max(initial=0.0)
         # what nothing pushes may be where next to nothing presses it, which is no share to measure by
-        most = np.where(pushed > PUSHED, here, np.maximum(most, here))
+        most = np.where(pushed > PUSHED, np.where(pushed > CLEAR, pushed, 1.0) * here, np.maximum(most, here))
         way = self.motion(borne)
         square = sum_over(self._bodies.comm, self._by_piece(np.sum(way.reshape(len(self._piece), -1) ** 2, axis=1)))
         rubs = rubbing(way) > RUBS**2 * square / self._nodes

@@ -392,20 +392,18 @@ def test_a_body_that_is_thrown_is_carried_by_more_than_its_radius():
     assert thrown() == [False, True, True]
 
 
-@pytest.mark.parametrize("degrees", [3.0, 6.0])
-def test_a_shallow_wedge_is_held_by_its_slope(degrees):
-    """Half of a steel wedge (mm, N) slides down a block without friction under a dead load, and comes back. What resists is
-    the block's stiffness times the square of a small slope, less than ties hold: the block bears the load all the same, to
-    what ties may bear of contact forces that are 1/sin times as large, 1e-4, and nothing is pressed without it."""
+def half_wedge(degrees, cells=(3, 17), block_cells=(13, 11)):
+    """Half of a steel wedge (mm, N) on the slope of a block, without friction, under a dead load: the problem, its load and
+    the block's support."""
     slope, top, middle, side = np.tan(np.deg2rad(degrees)), 10, 12, 20
     half = grid(
-        [np.linspace(0.0, 4.0, 4), np.linspace(0.0, 30.0, 18)],
+        [np.linspace(0.0, 4.0, cells[0] + 1), np.linspace(0.0, 30.0, cells[1] + 1)],
         {(0, -1): OUTER, (0, 0): middle, (1, -1): top},
         order=1,
         place=lambda x: x + np.outer(slope * x[:, 0] * x[:, 1] / 4.0, [1.0, 0.0]),
     )
     block = grid(
-        [np.linspace(4.0, 40.0, 14), np.linspace(-5.0, 20.0, 12)],
+        [np.linspace(4.0, 40.0, block_cells[0] + 1), np.linspace(-5.0, 20.0, block_cells[1] + 1)],
         {(0, 0): INNER, (0, -1): side},
         order=1,
         place=lambda x: x + np.outer(slope * (40.0 - x[:, 0]) * x[:, 1] / 36.0, [1.0, 0.0]),
@@ -417,12 +415,31 @@ def test_a_shallow_wedge_is_held_by_its_slope(degrees):
     down = ufl.as_vector((0.0, -1.0)) * load / (4.0 + 30.0 * slope)
     steel = materials.neo_hookean(7e4, 0.3)
     body = Body(u, steel, external=(down, ds(top)), bcs=[hold(V, facets, middle, 0), support])
-    problem = ContactProblem(body, contacts=[Contact(Surface(domain, facets, INNER), Surface(domain, facets, OUTER))])
+    contact = Contact(Surface(domain, facets, INNER), Surface(domain, facets, OUTER))
+    return ContactProblem(body, contacts=[contact]), load, support
+
+
+@pytest.mark.parametrize("degrees", [3.0, 6.0])
+def test_a_shallow_wedge_is_held_by_its_slope(degrees):
+    """Half of a wedge slides down a block and comes back. What resists is the block's stiffness times the square of a small
+    slope, less than ties hold: the block bears the load all the same, to what ties may bear of contact forces that are
+    1/sin times as large, 1e-4, and nothing is pressed without it."""
+    problem, load, support = half_wedge(degrees)
     stages = [quasistatic.Stage(load, to=to, increments=4) for to in (1000.0, 0.0)]
     for step in quasistatic.march(problem, stages):
         assert step.rejected == 0
         assert reaction(problem, support).force[1] == pytest.approx(float(load.value), abs=0.1)
     assert problem.pairs[0].nodal_forces() < 1e-3
+
+
+@pytest.mark.one_rank
+def test_a_wedge_is_not_held_beyond_what_its_slope_bears():
+    """As the wedge goes down ever less of its face is left in contact: the block bears so much and no more. A tie may bear a
+    hundredth of the load there; of the contact forces, which are ten times the load, it could be a tenth of it."""
+    problem, load, support = half_wedge(6.0, cells=(2, 9), block_cells=(7, 6))
+    with pytest.raises(quasistatic.StepFailure, match="contact alone holds the body"):
+        for step in quasistatic.march(problem, load, to=8e3, increments=4):
+            assert reaction(problem, support).force[1] == pytest.approx(step.load, rel=0.0101)
 
 
 @pytest.mark.parametrize("swap", [False, True])
