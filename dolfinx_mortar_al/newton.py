@@ -17,11 +17,10 @@ from dolfinx_mortar_al.contact_iteration import ContactIteration
 from dolfinx_mortar_al.friction_bounds import FrictionBounds
 from dolfinx_mortar_al.linear_solver import EXTERNAL, LinearSolver
 from dolfinx_mortar_al.load import Load
-from dolfinx_mortar_al.places import Places
-from dolfinx_mortar_al.problem import TOLD, ContactProblem, Snapshot, check_problem
+from dolfinx_mortar_al.problem import ContactProblem, Snapshot, check_problem
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import sum_over
-from dolfinx_mortar_al.ties import PUSHED
+from dolfinx_mortar_al.slides import Slides
 from dolfinx_mortar_al.validation import number, whole
 
 __all__ = ["NewtonResult", "NewtonSolver", "Path"]
@@ -45,10 +44,6 @@ HELD_BACK = 3  # iterations in a row that stand still where cells would be inver
 MAX_CYCLES = 6  # returns of a contact pattern before a solve is given up
 WANDERS_AFTER = 8  # iterations without progress after which friction bounds are frozen,
 SETTLED = 3  # if in so many of them, the last, no point has opened or closed
-PUSHED_ALONG = 1e-3  # the same along surfaces with friction: a tie is not to bear what friction does not
-SLIDES = 0.1  # of the contact forces: what is left of a coarse mesh's pressures along a slide is less
-MAX_MOVES = 20  # places that a sliding piece is tied to while its tie bears no less than HALVED of the least so far
-HALVED = 0.5
 LETS_GO = 1e-3  # relative residual from which on Newton knows which points are beyond the target's end
 WILD = 10.0  # times the residual that a solve starts from
 NAMED = 3  # blocks that a failed solve names, the worst first
@@ -167,7 +162,7 @@ class NewtonSolver:
         if ties is None or not ties.trusts[0]:
             return False
         self.problem.restore(before)
-        matters = self._has_trusted or ties.trust_matters()
+        matters = self._slides.has_trusted or ties.trust_matters()
         ties.trusts[:] = False
         return matters
 
@@ -175,7 +170,6 @@ class NewtonSolver:
         """Solve, with PETSc's options in place, where it `may_trust` the elasticity of bodies in place of ties (see
         :class:`~dolfinx_mortar_al.ties.Ties`)."""
         p, self._path = self.problem, path
-        self._may_trust, self._has_trusted = may_trust, False  # once in a solve, and whether it has
         self.linear.begin()
         self.result = NewtonResult()
         self._patterns: list[int] = []
@@ -186,7 +180,7 @@ class NewtonSolver:
         self._may_return, self._knows_step, self._trapped = path is None, False, False
         self._law_since, self._set_since = 0, 0
         self._bounds.begin()
-        self._moves, self._least_borne, self._places = 0.0, np.inf, Places(LONGEST)
+        self._slides = Slides(p, self.linear.response, self.rtol, longest=LONGEST, may_trust=may_trust)
         for pair in p.pairs:
             pair.begin()
         p.start_ties()
@@ -293,9 +287,9 @@ class NewtonSolver:
                 return None
             if not any(pardoned) and self._bounds_are_stale():
                 return _Reason.CONVERGED_FNORM_ABS
-            if not any(pardoned) and not self._slides(iteration):
+            if not any(pardoned) and not self._slide(iteration):
                 return None if self._lets_go(iteration) else _Reason.CONVERGED_FNORM_ABS
-            if self._moves > MAX_MOVES:
+            if self._slides.lead_nowhere:
                 self.result.message = "nothing that resists a slide has been found, at whatever place"
                 return _Reason.DIVERGED_LOCAL_MIN
             return None
@@ -395,8 +389,16 @@ class NewtonSolver:
         """Let points beyond the target's end go; whether there were any (collective)."""
         if not any([pair.let_go() for pair in self.problem.pairs]):
             return False
-        self._places.forget()  # what ties bore with them in contact
+        self._slides.forget()  # what ties bore with them in contact
         self._goes_on(iteration)
+        return True
+
+    def _slide(self, iteration: int) -> bool:
+        """A state has converged with pieces tied to where they were: tie them elsewhere; whether there was anything to change
+        (collective)."""
+        if not self._slides.go_on(self.snes.getFunction()[0], measures=iteration > 0):
+            return False
+        self._patterns, self._cycles, self._law_since = [], 0, iteration
         return True
 
     def _follows_again(self, iteration: int) -> bool:
@@ -411,70 +413,6 @@ class NewtonSolver:
         """The contact state is another one: the residual follows, and no cycle is known yet."""
         self._patterns, self._cycles, self._law_since = [], 0, iteration
         self.problem.reconsider(self.snes.getFunction()[0])
-
-    def _slides(self, iteration: int) -> bool:
-        """A state has converged with pieces tied to where they were: tie them to where they are, or farther on, until
-        something resists the slide and the ties bear nothing, or until they bear the same as before and neither a load pushes
-        them nor friction drags them. Whether there was anything to change."""
-        p, ties, places = self.problem, self.problem.ties, self._places
-        if ties is None or not ties.acts:
-            return False
-        bear = p.ties_bear()
-        driven = bear.pushed > np.where(bear.rubs, PUSHED_ALONG, PUSHED)
-        # an error of the mesh, but nothing that a load pushes with and friction does not bear
-        bearable = np.where(driven, np.where(bear.rubs, self.rtol, PUSHED), SLIDES)
-
-        def length(forces: NDArray[np.float64]) -> float:
-            return p.longest_motion(ties.motion(forces))
-
-        resisted, little = places.resist(bear, length), bool(np.all(bear.borne <= bearable))
-        on = places.follow(bear, bear.rubs & ~driven, p.dragged, length, first=resisted) if little else None
-        borne = float(bear.borne.max())
-        accepted = borne <= self.rtol or (on is None and not resisted and little)
-        if accepted and not self._trusts_elasticity(borne, measures=iteration > 0):
-            ties.borne = bear.borne
-            return False
-        if accepted:
-            places.forget()
-            on = bear.along
-        elif not resisted:  # what one side alone presses on is pushed away from it, along its surface
-            ties.let_be |= bear.alone & bear.rubs
-        softer = (
-            on is None
-            and (not resisted or ties.softness < 1.0)
-            and bool(np.any((bear.pushed > PUSHED) & (bear.pushed < 1.0) & (bear.borne > bearable)))
-        )
-        if softer:
-            places.forget()
-            on = bear.along
-        elif on is None:
-            on = places.onwards(bear, resisted, length)
-        if iteration > 0 and not accepted:
-            p.measure_ties(self.linear.response)
-        if p.move_ties(self.snes.getFunction()[0], bear.along - on, softer=softer):
-            places.forget()
-        self._count_move(borne)
-        self._patterns, self._cycles, self._law_since = [], 0, iteration
-        return True
-
-    def _count_move(self, borne: float) -> None:
-        """Count a place at which ties bear so much; on the way to a first contact there may be twice as many."""
-        if borne <= HALVED * self._least_borne:
-            self._moves, self._least_borne = 0.0, borne
-        self._moves += 1.0 if self.problem.is_pressed() else 0.5
-
-    def _trusts_elasticity(self, borne: float, *, measures: bool) -> bool:
-        """Whether ties that bear so much are let go in a state that would be accepted, as bodies deform along them and
-        resist: asked once in a solve, where it is more than is left unsaid."""
-        p, ties = self.problem, self.problem.ties
-        if ties is None or not self._may_trust or borne <= TOLD:
-            return False
-        self._may_trust = False
-        if measures:
-            p.measure_ties(self.linear.response)
-        self._has_trusted = ties.elastic_ones()
-        ties.trusts[:] |= self._has_trusted
-        return self._has_trusted
 
     def _guard(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Shorten the step x ← x − y until no cell is inverted and no closed point slides too far."""
