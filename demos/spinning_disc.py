@@ -78,7 +78,7 @@ def simulate(args: argparse.Namespace, spin: str, directory: Path) -> tuple:
     start, ledger, until = run.start, run.ledger, args.time or CASES[args.case][4]
     frames, time = [], start
     try:
-        for step in dynamics.march(problem, to=until, start=start, ledger=ledger) if until > start else ():
+        for step in dynamics.march(problem, to=until, start=start, ledger=ledger):
             time, ledger, (fx, fy) = step.time, step.ledger, step.forces[0]
             (px, py), (cx, cy) = ledger.momentum, (motion.integral(moment) / m for moment in moments)
             run.record(

@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from dolfinx_mortar_al.obstacles import Obstacle
 from dolfinx_mortar_al.surface import Surface
-from dolfinx_mortar_al.validation import constant_value, number, whole
+from dolfinx_mortar_al.validation import constant_value, number, varies, whole
 
 __all__ = ["Contact", "coefficient"]
 
@@ -121,4 +121,8 @@ class Contact:
 
 def coefficient(μ: Any) -> float:
     """A friction coefficient, checked."""
+    if varies(μ):
+        raise ValueError(
+            f"friction = {μ}: Coulomb's coefficient is one number on a contactor; give each of its parts a tag and a Contact"
+        )
     return number("friction", μ, least=0.0, must="Coulomb's coefficient must be")

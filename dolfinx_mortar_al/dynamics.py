@@ -117,8 +117,8 @@ def march(
         progress: show a progress bar with time, iterations and contact state (rank 0, standard error).
 
     Raises:
-        ValueError: at the call: `to` not after `start`, a tolerance that is not positive, or with another θ than ½, a
-            problem with a body that is no motion, or a motion without mass.
+        ValueError: at the call: `to` not after `start`, or before it with a `ledger`, a tolerance that is not positive, or
+            with another θ than ½, a problem with a body that is no motion, or a motion without mass.
         StepFailure: on every rank, in a step.
     """
     check_problem(problem)
@@ -127,7 +127,8 @@ def march(
     if move is not None:
         validation.check_callable("move", move, "the time")
     start, smallest = validation.number("start", start), validation.number("smallest", smallest, above=0.0, most=1.0)
-    to = validation.number("to", to, above=start, must="the end of the march must be")
+    bound = {"above": start} if ledger is None else {"least": start}  # what is over may be gone on with, for no step
+    to = validation.number("to", to, **bound, must="the end of the march must be")
     if tolerance is not None:
         tolerance = validation.number("tolerance", tolerance, above=0.0)
     said = (start, to, tolerance, smallest, [float(motion.time_step.value) for motion in motions])

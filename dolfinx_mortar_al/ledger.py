@@ -34,3 +34,8 @@ class Ledger:
     def total(self) -> float:
         """Energy of the moment (J)."""
         return self.kinetic + self.strain + self.contact
+
+    @property
+    def received(self) -> float:
+        """Energy of the moment and all that has been lost: what has come in, from wherever (J)."""
+        return self.total + self.friction_dissipation + self.impact_loss

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.ranks import together
 from dolfinx_mortar_al.reductions import any_over, sum_over
-from dolfinx_mortar_al.validation import check_callable, check_scalar, number
+from dolfinx_mortar_al.validation import check_callable, check_scalar, number, numbers
 
 __all__ = ["Load", "Loads", "Movable", "pace"]
 
@@ -111,10 +111,7 @@ class _ConstantLoad(Load):
         shape = self.source.value.shape
         if not shape:
             return np.array([number(name, to)])
-        try:
-            result = np.array(to, dtype=np.float64)
-        except (TypeError, ValueError):
-            result = np.zeros(0)
+        result = numbers(to)
         if result.shape != shape or not np.isfinite(result).all():
             raise ValueError(f"{name} = {to}: the load is a Constant of shape {shape}; pass as many finite numbers")
         return result.ravel()

@@ -39,6 +39,7 @@ __all__ = [
 
 HERE = os.path.join(os.path.dirname(__file__), "")
 AGAIN = 10.0  # times what has been said of a finding: it is said again
+NAMED = 3  # findings that mean the same
 
 
 @dataclass(frozen=True)
@@ -52,9 +53,14 @@ class Finding:
     meaning: str
     fatal: bool
 
-    def __str__(self) -> str:
+    @property
+    def figure(self) -> str:
+        """The value, and where, in words."""
         place = f" at X = ({', '.join(f'{x:.4g}' for x in self.X)})" if self.X else ""
-        return f"{self.name} = {self.value:.4g}{place}: {self.meaning}"
+        return f"{self.name} = {self.value:.4g}{place}"
+
+    def __str__(self) -> str:
+        return f"{self.figure}: {self.meaning}"
 
 
 class ModelWarning(UserWarning):
@@ -79,21 +85,24 @@ def show_warnings() -> None:
 
 
 class Reporter:
-    """Warns of each monitor's first finding of a run, and of one that has grown tenfold since, on rank 0; the steps have them
-    all."""
+    """Warns of each monitor's first finding of a run, and of one that has grown tenfold since, on rank 0, of those that mean
+    the same at once; the steps have them all."""
 
     def __init__(self, rank: int) -> None:
         self._rank, self._reported = rank, {}  # type: int, dict[str, float]
 
     def report(self, findings: Iterable[Finding], when: str) -> None:
         """Findings of the step at `when` (a load or time, in words)."""
+        new: dict[str, list[str]] = {}  # what they mean: their figures
         for finding in findings:
             said = self._reported.get(finding.name)
             if said is not None and not abs(finding.value) > AGAIN * abs(said):
                 continue
             self._reported[finding.name] = finding.value
-            if self._rank == 0:
-                warn(f"at {when}: {finding}")
+            new.setdefault(finding.meaning, []).append(finding.figure)
+        for meaning, figures in new.items() if self._rank == 0 else ():
+            more = f"; {len(figures) - NAMED} more" if len(figures) > NAMED else ""
+            warn(f"at {when}: {'; '.join(figures[:NAMED])}{more}: {meaning}")
 
 
 class Monitor:

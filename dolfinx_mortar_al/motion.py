@@ -183,8 +183,9 @@ class Motion:
         return fem.form(whole_form(form, self.u.function_space.mesh))
 
     def integral(self, form: Any) -> float:
-        """Value of a compiled scalar form (collective)."""
-        return sum_over(self.u.function_space.mesh.comm, fem.assemble_scalar(form))
+        """Value of a scalar form, of UFL or compiled (collective)."""
+        compiled = form if isinstance(form, fem.Form) else self._compiled(form)
+        return sum_over(self.u.function_space.mesh.comm, fem.assemble_scalar(compiled))
 
     def energies(self) -> tuple[float, float]:
         """Kinetic and strain energy (J), with the work of internal forces that have no stored energy (collective)."""

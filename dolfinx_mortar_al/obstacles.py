@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dolfinx_mortar_al.closest_point import ClosestPoint
 from dolfinx_mortar_al.projection import TargetPoint
-from dolfinx_mortar_al.validation import number
+from dolfinx_mortar_al.validation import number, numbers
 
 __all__ = ["Obstacle", "Pose", "RigidCylinder", "RigidPlane", "RigidSphere"]
 
@@ -286,10 +286,7 @@ def _rotation_matrix(rotation: ArrayLike | None, gdim: int) -> Array:
 
 def _vector(name: str, value: Any, gdim: int | None = None) -> Array:
     """`value` as a copied array of gdim finite components, 2 or 3 where gdim is None."""
-    try:
-        vector = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        vector = np.zeros(0)
+    vector = numbers(value)
     if vector.shape not in ([(2,), (3,)] if gdim is None else [(gdim,)]) or not np.isfinite(vector).all():
         raise ValueError(f"{name} = {value}: needs {'2 or 3' if gdim is None else gdim} finite components")
     return vector

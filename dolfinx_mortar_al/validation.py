@@ -19,6 +19,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from numpy.typing import NDArray
+from ufl.algorithms import extract_coefficients
 
 from dolfinx_mortar_al.reductions import any_over, min_over
 from dolfinx_mortar_al.versions import geometry_degree, geometry_nodes
@@ -47,14 +48,31 @@ __all__ = [
     "joint_thickness",
     "listed",
     "number",
+    "numbers",
     "path_of",
     "positive_or_ufl",
     "takes",
+    "varies",
     "vector",
     "whole",
 ]
 
 Item = TypeVar("Item")
+
+
+def varies(value: Any) -> bool:
+    """Whether a value is made of Functions, or holds one: UFL tries for ever to make a number of those."""
+    if isinstance(value, list | tuple):
+        return any(map(varies, value))
+    return isinstance(value, ufl.core.expr.Expr) and bool(extract_coefficients(value))
+
+
+def numbers(value: Any) -> NDArray[np.float64]:
+    """The numbers that a value is, as a new array; none where it is something else."""
+    try:
+        return np.zeros(0) if varies(value) else np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.zeros(0)
 
 
 def number(
@@ -76,7 +94,7 @@ def number(
     bounds += [f"< {below:g}"] * (below < math.inf) + [f"≤ {most:g}"] * (most < math.inf)
     wanted = f"{must} a number {' and '.join(bounds)}".rstrip()
     try:
-        result = math.nan if isinstance(value, str | bytes | bool | np.bool_) else float(value)
+        result = math.nan if isinstance(value, str | bytes | bool | np.bool_) or varies(value) else float(value)
     except (TypeError, ValueError):
         result = math.nan
     if not (math.isfinite(result) and above < result < below and least <= result <= most):
@@ -107,10 +125,7 @@ def vector(name: str, value: Any, components: int) -> NDArray[np.float64]:
     Raises:
         ValueError: if it is something else.
     """
-    try:
-        result = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        result = np.zeros(0)
+    result = numbers(value)
     if result.shape != (components,) or not np.isfinite(result).all():
         raise ValueError(f"{name} = {value}: needs {components} components, finite numbers")
     return result

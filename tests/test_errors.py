@@ -98,6 +98,22 @@ def test_friction_must_be_a_number_not_below_zero(domain, μ):
         pair(domain, friction=μ)
 
 
+def test_a_function_is_no_number(domain):
+    """UFL tries for ever to make one of it: each of these hung."""
+    f = fem.Function(fem.functionspace(domain[0], ("DG", 0)), name="f")
+    for friction in (f, 2.0 * f):
+        with pytest.raises(
+            ValueError, match="is one number on a contactor; give each of its parts a tag and a Contact"
+        ):
+            pair(domain, friction=friction)
+    with pytest.raises(ValueError, match="epsilon_normal = f"):
+        pair(domain, epsilon_normal=f)
+    with pytest.raises(ValueError, match="tag = f"):
+        Surface(domain[0], domain[2], f).owned_facets()
+    with pytest.raises(ValueError, match="point = "):
+        obstacles.RigidPlane([0.0, f], [0.0, 1.0])
+
+
 @pytest.mark.parametrize("constant", [False, True])
 def test_a_friction_beyond_that_of_any_surface_is_said(constant):
     """30 for 30 %, once however many solves there are; that of rubber is nothing to say."""
@@ -303,6 +319,16 @@ def test_a_finding_is_said_again_when_it_has_grown_tenfold():
             reporter.report([Finding("slide", value, (), "", False)], "load 1")
         said += [value] * len(caught)
     assert said == [1e-3, 2e-2]
+
+
+def test_findings_that_mean_the_same_are_said_at_once():
+    """Of many pairs the first three, as of an arch of ten stones."""
+    findings = [Finding(f"joint {k}", 0.1 * k, (), "turned", False) for k in range(1, 6)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        Reporter(0).report([*findings, Finding("slide", 0.1, (), "tied", False)], "load 1")
+    joints = "at load 1: joint 1 = 0.1; joint 2 = 0.2; joint 3 = 0.3; 2 more: turned"
+    assert [str(w.message) for w in caught] == [joints, "at load 1: slide = 0.1: tied"]
 
 
 @pytest.mark.one_rank
