@@ -13,10 +13,13 @@ surface that has passed through another, is undone and taken shorter. When steps
 nothing, and what falls has come down, the last one is without. If there is no friction it is steepest descent of the energy
 in the norm of k: no unstable equilibrium stops it for long.
 
-Loose bodies that nothing has held yet come down in the same way onto what they meet.
+What has gone farther than all bodies together extend has slid or fallen off, and does not come to rest. Loose bodies that
+nothing has held yet come down in the same way onto what they meet, however far that is.
 """
 
 from __future__ import annotations
+
+import numpy as np
 
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
 from dolfinx_mortar_al.problem import ContactProblem, Dashpots
@@ -28,6 +31,7 @@ FIRST = 1.0  # δ of the first step
 CHANGE = 4.0  # of δ from step to step
 LEAST = 1e-5  # δ below which a step is taken without dashpots; where loose bodies come down
 NEAR = 0.01  # only if no larger share of the forces was off balance where the last one began: what falls still goes on
+SETTLES = 0.5  # nor, once one has failed, if no less was than where that began: what moves on does not come to rest
 MOST = 100.0  # δ beyond which it is not for want of time that steps fail
 MAX_STEPS = 80  # after which the bodies count as moving on for good
 
@@ -38,10 +42,13 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
     (collective)."""
     k, δ, iterations = problem.nodal_stiffness(), FIRST, 0
     rests, last = False, -1.0  # how far the last step moved the bodies (m), none so far
-    comes_down, off = problem.is_at_start, 1.0  # the share of the forces that was off balance where the last step began
+    comes_down = problem.is_at_start
+    # the share of the forces that was off balance where the last step began, and where the last without dashpots did in vain
+    off, tried = 1.0, np.inf
+    began, farthest = problem.bodies.get(), np.inf if comes_down else problem.bodies.extent()
     for _ in range(MAX_STEPS):
         before, since = problem.snapshot(), problem.bodies.get()
-        slowed = δ > LEAST or (comes_down and off > NEAR)
+        slowed = δ > LEAST or (comes_down and off > NEAR) or off > SETTLES * tried
         problem.dashpots = Dashpots(δ * k, since) if slowed else None
         try:
             result = solver.solve()
@@ -54,11 +61,14 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
         if result.converged and not any(finding.fatal for finding in problem.findings()):
             way, _ = problem.bodies.farthest(problem.bodies.get() - since)
             problem.commit()
+            if problem.bodies.farthest(problem.bodies.get() - began)[0] > farthest:
+                break
             if result.iterations <= EASY or way <= last:
                 δ /= CHANGE
             last, off = way, max(result.norms[0]) * solver.rtol
         else:
             problem.restore(before)
+            tried = tried if slowed else off
             δ, last = δ * CHANGE, -1.0
     result.converged, result.iterations = rests, iterations
     return result
