@@ -417,12 +417,6 @@ class Bodies:
         x = np.concatenate([body.mesh.geometry.x for body in self.bodies])
         return max_over(self.comm, float(np.linalg.norm(x, axis=1).max(initial=0.0)))
 
-    def extent(self) -> float:
-        """Diagonal of the box around all bodies as they were meshed (m, collective)."""
-        X = self.owned_positions()
-        ends = max_over(self.comm, np.concatenate([ends.max(axis=0, initial=-np.inf) for ends in (X, -X)]))
-        return float(np.linalg.norm(ends.reshape(2, -1).sum(axis=0)))
-
     def farthest(self, values: Array) -> tuple[float, tuple[float, ...]]:
         """The longest nodal vector of (owned dofs,), and the reference position of its node (collective)."""
         nodal = np.linalg.norm(values.reshape(-1, self.gdim), axis=1)

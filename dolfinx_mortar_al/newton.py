@@ -233,7 +233,7 @@ class NewtonSolver:
             self.result.message = "the Jacobian is singular: some displacement meets no stiffness"
             self.result.advice = self._advice()
         else:
-            self.result.message = excuse
+            self.result.message, self.result.advice = excuse, ""
         self.snes = self._create()
         return self.result
 

@@ -45,7 +45,7 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
     comes_down = problem.is_at_start
     # the share of the forces that was off balance where the last step began, and where the last without dashpots did in vain
     off, tried = 1.0, np.inf
-    began, farthest = problem.bodies.get(), np.inf if comes_down else problem.bodies.extent()
+    began, farthest = problem.bodies.get(), np.inf if comes_down else problem.bodies.diameter()
     for _ in range(MAX_STEPS):
         before, since = problem.snapshot(), problem.bodies.get()
         slowed = δ > LEAST or (comes_down and off > NEAR) or off > SETTLES * tried
