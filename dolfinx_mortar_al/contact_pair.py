@@ -103,6 +103,8 @@ class ContactPair(PairFindings):
         self._fixed: Bool = self._at_nodes(self._body1.prescribed()) > 0
         self._may_be_redundant = any_over(self.comm, self._fixed.any()) and bool(self.target.fixed.any())
         redundant = self._redundant(self.facets.X)
+        # (nf, nodes, gdim) and (nodes, gdim) nodes of both sides with which redundant ones were looked for last (m)
+        self._looked_at: tuple[Array, Array] = np.zeros(0), np.zeros(0)
         #: (nf,) facets whose motion relative to the target is prescribed altogether
         self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))
         surface = contact.target if isinstance(contact.target, Surface) else None
@@ -242,6 +244,11 @@ class ContactPair(PairFindings):
         multipliers."""
         if not self._may_be_redundant or isinstance(self.kinematics, StepLevel) or not isinstance(place, np.ndarray):
             return False
+        nodes = contactor, place
+        again = all(map(np.array_equal, self._looked_at, nodes)) and not self.target.is_contactor  # whose roles count, too
+        if not any_over(self.comm, not again):
+            return False
+        self._looked_at = contactor.copy(), place.copy()
         redundant = self._redundant(contactor, place)
         if not self.multiplier.leave_out(redundant):
             return False
