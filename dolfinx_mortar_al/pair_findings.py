@@ -34,6 +34,7 @@ FINE = (
     "target"
 )
 STIFFER = 4.0  # of stiffnesses per area: pressures on finer contactors were off by more than a tenth from there on
+ALTERNATES = 0.05  # of the pressure, within facets: it is off by a tenth at their nodes, in turn
 MUCH_STIFFER = 10.0  # the same; solves that failed went through with the roles swapped from 15 on (docs/robustness.md)
 OVERLAP = "both surfaces are prescribed there and overlap: no contact force can part them; change the prescribed values"
 PUSHED = (
@@ -119,21 +120,29 @@ class PairFindings(PairResults):
 
     def fine_multiplier(self) -> Finding | None:
         """Whether the multiplier of a contactor that is stiffer than the target has nodes closer together than those of the
-        target's facets that it faces, in the mean over what is closed, and is not held smooth for the most part
-        (collective)."""
+        target's facets that it faces, in the mean over what is closed, and is not held smooth for the most part, so that
+        pressures alternate (collective)."""
         if self.target.is_rigid or self.target.is_contactor or self.stiffness_ratio <= STIFFER:
             return None
         closed = np.flatnonzero(self.state.status != OPEN)
         j, (own, theirs) = self.j[closed], (extents[closed] for extents in self._extents())
         own, theirs = self.multiplier.shape.spacing * own, self.target.spacing * theirs
         smooth = self.blocks.smoothed[self.integration.facet[closed]]
-        mine, others, whole, held = sum_over(self.comm, np.array([j @ own, j @ theirs, j.sum(), j @ smooth]))
-        ratio = float(mine / others) if others > 0 and held < 0.5 * whole else 1.0
+        sums = j @ own, j @ theirs, j.sum(), j @ smooth, *self._varies_within()
+        mine, others, whole, held, varies, force = sum_over(self.comm, np.array(sums))
+        oscillates = held < 0.5 * whole and varies > ALTERNATES * force
+        ratio = float(mine / others) if others > 0 and oscillates else 1.0
         return (
             Finding(f"{self.name}: multiplier's spacing over the target's", ratio, (), FINE, False)
             if ratio < ALIKE
             else None
         )
+
+    def _varies_within(self) -> tuple[float, float]:
+        """By how much pressure is off its mean on the facet (N), on this rank's altogether, and the force (N)."""
+        facet, force = self.integration.facet, self.j * self.state.p
+        mean = self.integration.sum_by_facet(force) / np.maximum(self.integration.sum_by_facet(self.j), 1e-300)
+        return float(self.j @ np.abs(self.state.p - mean[facet])), float(force.sum())
 
     def doubts_roles(self) -> str | None:
         """What a failed solve says of a contactor that is much stiffer than its target, whose edges and corners then come to

@@ -165,3 +165,23 @@ def test_a_march_that_goes_on_from_its_end_is_empty():
         dynamics.march(problem, start=last.time, to=0.05)
     one = fem.Constant(motion.u.function_space.mesh, 1.0)
     assert motion.integral(one * ufl.dx) == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("pushes_askew", [False, True])
+def test_a_stiff_block_with_finer_facets_is_told_only_where_pressures_alternate(pushes_askew):
+    """On a soft block of the same width, both without Poisson's effect, it presses evenly, whatever the meshes; not so where
+    its right half is pressed three times as much."""
+    motions, sides = [], []
+    for low, cells, E, face in ((0.1, 12, 1e9, 0), (0.0, 4, 1e6, 1)):
+        box = Box([-0.05, low], [0.1, 0.1], [cells, 2], 1, {(1, face): LOWER, (1, 1 - face): BASE})
+        domain, _, tags = create_boxes(MPI.COMM_WORLD, [box], simplices=False)
+        V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+        right = ufl.conditional(ufl.SpatialCoordinate(domain)[0] > 0.0, 3.0 if pushes_askew else 1.0, 1.0)
+        load = (right * ufl.as_vector((0.0, -1e4)), ufl.Measure("ds", domain, subdomain_data=tags)(BASE))
+        held = fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, tags.find(BASE)), V)
+        how = {"external": [load]} if face == 0 else {"bcs": [held]}
+        body = Body(fem.Function(V), materials.neo_hookean(E, 0.0), density=DENSITY, **how)
+        motions.append(dynamics.Motion(body, step=2e-4))
+        sides.append(Surface(domain, tags, LOWER))
+    steps = run(ContactProblem(motions, contacts=[Contact(*sides)]), to=4e-3)
+    assert any("pressures oscillate" in f.meaning for step in steps for f in step.findings) == pushes_askew
