@@ -19,6 +19,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from dolfinx_mortar_al.compiling import compiled
 from dolfinx_mortar_al.foreseen_pressure import ForeseenPressure
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
@@ -27,8 +28,7 @@ from dolfinx_mortar_al.petsc_blocks import JointNumbering
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed, agreed_on_group
 from dolfinx_mortar_al.reductions import max_over, sum_over
-from dolfinx_mortar_al.validation import check_cells, check_residual, check_space, compiled, listed
-from dolfinx_mortar_al.versions import whole_form
+from dolfinx_mortar_al.validation import check_cells, check_residual, check_space, listed
 
 __all__ = ["Bodies", "BodyForms"]
 
@@ -67,14 +67,14 @@ class BodyForms:
         self.foreseen = foreseen if jacobian is None else None
         if self.foreseen is not None:
             J += self.foreseen.form
-        self.F, self.J = (compiled(whole_form(form, self.mesh), F) for form in (F, J))
+        self.F, self.J = (compiled(form, self.mesh, F) for form in (F, J))
         self.signature = str(F.signature())
         #: the residual's Constants, and what they were when the problem was made
         self.constants = list(F.constants())
         self.constant_values = [np.array(c.value) for c in self.constants]
         #: the residual's Functions but u
         self.fields = [c for c in F.coefficients() if isinstance(c, fem.Function) and c is not u]
-        self._inverted = fem.form(self._inversion_indicator())
+        self._inverted = compiled(self._inversion_indicator(), self.mesh)
         #: (nodes,) the connected piece of the mesh that each node belongs to, ghosts included; how many there are
         self.piece, self.pieces = pieces_of(self.space)
         #: pieces that nothing but contact holds, as found with the start state's stiffness
@@ -160,7 +160,7 @@ class BodyForms:
         """Add ∫ ∇u : ∇v dΩ, zero on prescribed rows and columns: what a uniform tension of 1 Pa adds to the stiffness."""
         if self._tension is None:
             v, w = ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
-            self._tension = fem.form(ufl.inner(ufl.grad(w), ufl.grad(v)) * cell_measure(self.u))
+            self._tension = compiled(ufl.inner(ufl.grad(w), ufl.grad(v)) * cell_measure(self.u), self.mesh)
         dolfinx_petsc.assemble_matrix(A, self._tension, self.bcs, 0.0)
 
     def stiffness(self) -> PETSc.Mat:

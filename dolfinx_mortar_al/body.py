@@ -15,6 +15,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
+from dolfinx_mortar_al.compiling import compiled
 from dolfinx_mortar_al.foreseen_pressure import ForeseenPressure
 from dolfinx_mortar_al.materials import Hyperelastic, cell_measure, cells_of
 from dolfinx_mortar_al.membrane import NeoHookeanMembrane
@@ -33,7 +34,6 @@ from dolfinx_mortar_al.validation import (
     positive_or_ufl,
     vector,
 )
-from dolfinx_mortar_al.versions import whole_form
 
 __all__ = ["Body", "Material", "Part"]
 
@@ -186,7 +186,7 @@ class Body:
         one = ufl.TestFunction(fem.functionspace(domain, ("DG", 0)))
         forms = [sum(one * part.dx for part in self.parts), one * self.dx]
         cells = domain.topology.index_map(domain.topology.dim).size_local
-        share, whole = (fem.assemble_vector(fem.form(whole_form(form, domain))).array[:cells] for form in forms)
+        share, whole = (fem.assemble_vector(compiled(form, domain)).array[:cells] for form in forms)
         times = np.round(share / whole).astype(int)
         none, twice = sum_over(domain.comm, np.array([np.sum(times == 0), np.sum(times > 1)])).astype(int)
         if none or twice:

@@ -20,6 +20,7 @@ from basix import make_quadrature
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.compiling import compiled_expression
 from dolfinx_mortar_al.materials import Hyperelastic, deformation_gradient
 from dolfinx_mortar_al.membrane import NeoHookeanMembrane
 from dolfinx_mortar_al.validation import check_law, number
@@ -132,7 +133,7 @@ class Monitor:
         self.name, self.bound, self.meaning, self.fatal = name, bound, meaning, fatal
         self.comm = mesh.comm
         points = make_quadrature(mesh.basix_cell(), 2 * u.function_space.element.basix_element.degree)[0]
-        self._quantity = fem.Expression(quantity, points, comm=mesh.comm)
+        self._quantity = compiled_expression(quantity, points, mesh)
         self._X = fem.Expression(ufl.SpatialCoordinate(mesh), points, comm=mesh.comm)
         self._mesh = mesh
         self._cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)

@@ -12,11 +12,11 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.body import Body, Material
+from dolfinx_mortar_al.compiling import compiled
 from dolfinx_mortar_al.internal_work import TRAPEZOIDAL, WORK, internal_work
 from dolfinx_mortar_al.materials import cell_measure
 from dolfinx_mortar_al.reductions import any_over, sum_over
 from dolfinx_mortar_al.validation import check_dead, check_scalar, number
-from dolfinx_mortar_al.versions import whole_form
 
 __all__ = ["Motion"]
 
@@ -180,12 +180,12 @@ class Motion:
         return [self._compiled(self._per_mass(c)) for c in (*v, *spin)]
 
     def _compiled(self, form: Any) -> fem.Form:
-        return fem.form(whole_form(form, self.u.function_space.mesh))
+        return compiled(form, self.u.function_space.mesh)
 
     def integral(self, form: Any) -> float:
         """Value of a scalar form, of UFL or compiled (collective)."""
-        compiled = form if isinstance(form, fem.Form) else self._compiled(form)
-        return sum_over(self.u.function_space.mesh.comm, fem.assemble_scalar(compiled))
+        scalar = form if isinstance(form, fem.Form) else self._compiled(form)
+        return sum_over(self.u.function_space.mesh.comm, fem.assemble_scalar(scalar))
 
     def energies(self) -> tuple[float, float]:
         """Kinetic and strain energy (J), with the work of internal forces that have no stored energy (collective)."""

@@ -18,6 +18,7 @@ import ufl
 from dolfinx import fem, mesh
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.compiling import compiled_expression
 from dolfinx_mortar_al.pieces import connected
 from dolfinx_mortar_al.reductions import max_over, sum_over
 from dolfinx_mortar_al.validation import are_tags_of, vector, whole
@@ -314,7 +315,7 @@ def _side_at_middle(surface: Surface, cells: NDArray[np.int32]) -> Array:
         side = vector("side", surface.side, gdim)
         return np.broadcast_to(side, (len(cells), gdim))
     middle = basix.geometry(surface.mesh.basix_cell()).mean(axis=0)[None]
-    values = fem.Expression(surface.side, middle, comm=surface.mesh.comm).eval(surface.mesh, cells)
+    values = compiled_expression(surface.side, middle, surface.mesh).eval(surface.mesh, cells)
     return np.asarray(values).reshape(len(cells), gdim)
 
 

@@ -42,7 +42,6 @@ __all__ = [
     "check_scalar",
     "check_scalars",
     "check_space",
-    "compiled",
     "constant_value",
     "is_ufl",
     "joint_thickness",
@@ -348,20 +347,6 @@ def check_measures(F: ufl.Form, name: str) -> None:
                 f"{name}: its {integral.integral_type()} integral is over the tag {tag}, which marks nothing; write it with "
                 "a measure of subdomain_data that have this tag, or leave it out"
             )
-
-
-def compiled(form: ufl.Form, written: ufl.Form, name: str = "F") -> fem.Form:
-    """`form` compiled, or what is wrong with the form that the user has `written`. What the form compiler has in its cache is
-    sound, so that nothing needs to be looked at before.
-
-    Raises:
-        ValueError: on every rank, if the form is not linear in its test function.
-    """
-    try:
-        return fem.form(form)
-    except Exception:
-        check_linear(name, written)
-        raise
 
 
 def check_external(external: Any, u: fem.Function) -> None:
