@@ -57,8 +57,8 @@ BY_OVERLAP = (
 )
 BY_NORMALS = (
     "a corner or a rounded edge of the contactor with few facets rests on a smoother target, and pressure acts along the "
-    "contactor's normals: the force's direction is off by that share; refine the contactor there, or swap contactor and "
-    "target"
+    "contactor's normals: the force's direction is off by that share; refine the contactor there if it is round, swap "
+    'contactor and target, or take projection="closest"'
 )
 TURNED = 0.03  # of the force
 DIPS = (
