@@ -105,21 +105,24 @@ class Standing:
     Attributes:
         held: whether supports, or contact as firmly as supports, held all pieces.
         free: (pieces,) which ones nothing presses on.
-        pressing: (pieces,) the most that contact has pressed on each with in an equilibrium (N).
+        pressed: (pieces,) what contact pressed on each with (N); pressing: the most that it has in an equilibrium.
     """
 
     held: bool
     free: NDArray[np.bool_]
+    pressed: Array
     pressing: Array
 
     def snapshot(self) -> dict[str, Array]:
         """Copies of all."""
         held = np.array([float(self.held)])
-        return {"held": held, "free": self.free.astype(float), "pressing": self.pressing.copy()}
+        forces = {"pressed": self.pressed.copy(), "pressing": self.pressing.copy()}
+        return {"held": held, "free": self.free.astype(float), **forces}
 
     def restore(self, saved: dict[str, Array]) -> None:
         """Back to a snapshot."""
-        self.held, self.free, self.pressing = bool(saved["held"][0]), saved["free"] > 0, saved["pressing"].copy()
+        self.held, self.free = bool(saved["held"][0]), saved["free"] > 0
+        self.pressed, self.pressing = saved["pressed"].copy(), saved["pressing"].copy()
 
 
 class ContactProblem:
@@ -329,7 +332,7 @@ class ContactProblem:
         # which pieces nothing presses on, as found last
         self._free: NDArray[np.bool_] = np.zeros(self.bodies.pieces, dtype=bool)
         #: of pieces, in the last equilibrium
-        self.standing = Standing(not self.floating, self._free, np.zeros(self.bodies.pieces))
+        self.standing = Standing(not self.floating, self._free, *np.zeros((2, self.bodies.pieces)))
         if self.ties is not None:
             self.members |= {"ties": self.ties, "standing": self.standing}
         for k in range(1, n):
@@ -697,6 +700,7 @@ class ContactProblem:
         return self.ties.bearing(
             self.bulk_forces.array_r,
             self._pressed,
+            self.standing.pressed,
             present,
             self._no_press(),
             self._touched * len(self.pairs),
@@ -912,7 +916,8 @@ class ContactProblem:
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""
         self.standing.free, self.standing.held = self._free, not self.floating or self.contact_holds()
-        self.standing.pressing = np.maximum(self.standing.pressing, self._pressing())
+        self.standing.pressed = self._pressing()
+        self.standing.pressing = np.maximum(self.standing.pressing, self.standing.pressed)
         self._look_what_bears()
         self.bodies.begin()
         if self.ties is not None:

@@ -76,7 +76,7 @@ class Slides:
         borne = float(bear.borne.max())
         accepted = borne <= self._rtol or (on is None and not resisted and little)
         if accepted and not self._trusts_elasticity(borne, measures=measures):
-            ties.borne = bear.borne
+            ties.borne = bear.share
             return False
         if not accepted and not resisted:  # what one side alone presses on is pushed away from it, along its surface
             ties.let_be |= bear.alone & bear.rubs

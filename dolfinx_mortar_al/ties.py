@@ -63,6 +63,8 @@ class Bearing(NamedTuple):
         borne: (pieces,) their norm, as a share of `most`.
         most: (pieces,) the contact forces on each piece (N), or what loads push with, if that is more; where no load pushes
             the largest ones in this solve.
+        share: (pieces,) for the user to know: the norm as a share of the contact forces that are, or were in the last
+            equilibrium, in place of the largest ones, which on Newton's way were seen to be twenty times as large.
         alone: (pieces,) whether it is more than half of the contact forces: one side presses the piece against its tie.
         pushed: (pieces,) what loads push with along the same motions, as a share of present contact forces, at most 1.
         rubs: (pieces,) whether friction could bear it.
@@ -72,6 +74,7 @@ class Bearing(NamedTuple):
     along: Array
     borne: Array
     most: Array
+    share: Array
     alone: Flags
     pushed: Array
     rubs: Flags
@@ -94,7 +97,7 @@ class Ties:
             which they bear what ties bore.
         tied: (pieces,) which contact alone holds.
         let_be: (pieces,) which are not tied in this solve.
-        borne: (pieces,) what ties bear in the last equilibrium, as a share of the contact forces.
+        borne: (pieces,) what ties bear in the last equilibrium, as a share of the contact forces (`Bearing.share`).
         motions, ways: (ties, owned dofs) of the ties in use: nodal forces 𝐦, and displacements along them.
         softness: s, as a share of a tie's stiffness.
         are_loose: whether neither they nor springs act in the next Newton step; they go where it leads.
@@ -401,16 +404,17 @@ class Ties:
         self,
         bulk: Array,
         most: Array,
+        before: Array,
         present: Array,
         noise: Array,
         touched: list[Flags],
         rubbing: Callable[[Array], Array],
     ) -> Bearing:
         """What ties bear where `bulk` (owned dofs,) are the bodies' forces with those of ties, and the contact forces on each
-        piece, `present` ones and the `most` of them in this solve (pieces,), in N; less than `noise` (pieces,) is nothing.
-        What pushes one of the pieces that a pair has `touched` (pieces,) pushes the others. `rubbing` gives of displacements
-        (owned dofs,) the mean square over the contact forces on each piece (pieces,) of what goes along surfaces with
-        friction (collective)."""
+        piece, `present` ones, those `before`, in the last equilibrium, and the `most` in this solve (pieces,), in N; less than `noise`
+        (pieces,) is nothing. What pushes one of the pieces that a pair has `touched` (pieces,) pushes the others. `rubbing`
+        gives of displacements (owned dofs,) the mean square over the contact forces on each piece (pieces,) of what goes
+        along surfaces with friction (collective)."""
         f = self.forces()
         borne, pushed = self.along(f), np.linalg.norm(self.along(bulk - f), axis=1)
         borne *= (np.linalg.norm(borne, axis=1) > noise)[:, None]
@@ -420,7 +424,10 @@ class Ties:
         for together in touched:
             pushed[together & self.tied] = pushed[together & self.tied].max(initial=0.0)
         # what nothing pushes may be where next to nothing presses it, which is no share to measure by
-        most = np.where(pushed > PUSHED, np.where(pushed > CLEAR, pushed, 1.0) * here, np.maximum(most, here))
+        most, by = (
+            np.where(pushed > PUSHED, np.where(pushed > CLEAR, pushed, 1.0) * here, np.maximum(forces, here))
+            for forces in (most, before)
+        )
         way = self.motion(borne)
         square = sum_over(self._bodies.comm, self._by_piece(np.sum(way.reshape(len(self._piece), -1) ** 2, axis=1)))
         rubs = rubbing(way) > RUBS**2 * square / self._nodes
@@ -428,6 +435,7 @@ class Ties:
             along=borne,
             borne=size / most,
             most=most,
+            share=size / by,
             alone=(present > 0.0) & (size > present / 2),
             pushed=pushed,
             rubs=rubs & (size > 0.0),
