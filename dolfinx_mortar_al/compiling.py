@@ -1,7 +1,7 @@
 """Forms and expressions compiled once for all values of the numbers in them.
 
-FFCx writes numbers into its kernels, so that another modulus, density or load is another kernel, which takes a second or so to
-compile. Numbers that are no part of a formula are Constants here, of which a kernel knows but the place.
+FFCx writes numbers into its kernels, so that another modulus, density or load is another kernel, which takes a second or so
+to compile. Numbers that are no part of a formula are Constants here, of which a kernel knows but the place.
 """
 
 from __future__ import annotations

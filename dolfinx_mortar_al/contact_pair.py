@@ -245,7 +245,8 @@ class ContactPair(PairFindings):
         if not self._may_be_redundant or isinstance(self.kinematics, StepLevel) or not isinstance(place, np.ndarray):
             return False
         nodes = contactor, place
-        again = all(map(np.array_equal, self._looked_at, nodes)) and not self.target.is_contactor  # whose roles count, too
+        # roles count, too, of what is in contact with itself
+        again = not self.target.is_contactor and all(map(np.array_equal, self._looked_at, nodes))
         if not any_over(self.comm, not again):
             return False
         self._looked_at = contactor.copy(), place.copy()

@@ -29,9 +29,9 @@ FINER = (
     "inaccurate; refine the contactor or raise quadrature_degree"
 )
 FINE = (
-    "the contactor is finer than the target and stiffer per area, as finer facets of one material are, too, and contact a few "
-    "of the target's facets wide: they cannot follow what the multiplier asks of them, and pressures oscillate (resultants do "
-    "not); refine the target, or swap contactor and target"
+    "the contactor is finer than the target and stiffer per area, as finer facets of one material are, too, and contact a "
+    "few of the target's facets wide: they cannot follow what the multiplier asks of them, and pressures oscillate "
+    "(resultants do not); refine the target, or swap contactor and target"
 )
 STIFFER = 4.0  # of stiffnesses per area: pressures on finer contactors were off by more than a tenth from there on
 ALTERNATES = 0.05  # of the pressure, within facets: it is off by a tenth at their nodes, in turn

@@ -411,10 +411,10 @@ class Ties:
         rubbing: Callable[[Array], Array],
     ) -> Bearing:
         """What ties bear where `bulk` (owned dofs,) are the bodies' forces with those of ties, and the contact forces on each
-        piece, `present` ones, those `before`, in the last equilibrium, and the `most` in this solve (pieces,), in N; less than `noise`
-        (pieces,) is nothing. What pushes one of the pieces that a pair has `touched` (pieces,) pushes the others. `rubbing`
-        gives of displacements (owned dofs,) the mean square over the contact forces on each piece (pieces,) of what goes
-        along surfaces with friction (collective)."""
+        piece, `present` ones, those `before`, in the last equilibrium, and the `most` in this solve (pieces,), in N; less
+        than `noise` (pieces,) is nothing. What pushes one of the pieces that a pair has `touched` (pieces,) pushes the
+        others. `rubbing` gives of displacements (owned dofs,) the mean square over the contact forces on each piece (pieces,)
+        of what goes along surfaces with friction (collective)."""
         f = self.forces()
         borne, pushed = self.along(f), np.linalg.norm(self.along(bulk - f), axis=1)
         borne *= (np.linalg.norm(borne, axis=1) > noise)[:, None]

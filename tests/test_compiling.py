@@ -45,5 +45,7 @@ def test_forms_and_expressions_mean_what_they_say(u):
     assert np.abs(A - B).max() < 1e-13 * np.abs(A).max()
     energy, points = materials.neo_hookean(2.1e6, 0.3).energy(materials.deformation_gradient(u)), np.array([[0.2, 0.3]])
     cells = np.arange(8, dtype=np.int32)
-    x, y = (e.eval(domain, cells) for e in (fem.Expression(energy, points), compiled_expression(energy, points, domain)))
+    x, y = (
+        e.eval(domain, cells) for e in (fem.Expression(energy, points), compiled_expression(energy, points, domain))
+    )
     assert np.abs(x - y).max() < 1e-13 * np.abs(x).max()

@@ -116,7 +116,9 @@ def test_what_a_tie_bears_is_told_as_a_share_of_the_forces_that_are(increments):
     bcs = [fem.dirichletbc(np.zeros(2), held, V), fem.dirichletbc(led, moved, V)]
     key = Surface(domain, tags, KEY)
     contacts = [Contact(key, Surface(domain, tags, slot)) for slot in (LOWER_SLOT, UPPER_SLOT)]
-    problem = ContactProblem(Body(fem.Function(V), materials.saint_venant_kirchhoff(2e11, 0.3), bcs=bcs), contacts=contacts)
+    problem = ContactProblem(
+        Body(fem.Function(V), materials.saint_venant_kirchhoff(2e11, 0.3), bcs=bcs), contacts=contacts
+    )
     for step in quasistatic.march(problem, led, to=np.array([-0.0022, 0.0]), increments=increments):
         out = np.linalg.norm(sum(pair.force() for pair in problem.pairs))
         share = out / max(sum(pair.pressing() for pair in problem.pairs), 1.0)
