@@ -160,6 +160,8 @@ class _Points:
         x0, x, X: (n, gdim) where they were in the last converged state, are now, and are in the reference one (m).
         loose: (n,) whether nothing is in contact on their facets; silent: (n,) whether nothing is or was.
         extent: (n,) of their facet; reach: (n,) how far away the next integration point may be (m).
+        deep: (n,) whether they are to be apart from the other surface even where they have not passed.
+        beyond: (n,) whether they lie beyond the surface's end.
     """
 
     x0: Array
@@ -169,22 +171,33 @@ class _Points:
     silent: Bool
     extent: Array
     reach: Array
+    deep: Bool
+    beyond: Bool
 
     def take(self, which: Index | Bool) -> _Points:
         return _Points(*(values[which] for values in vars(self).values()))
+
+    @classmethod
+    def together(cls, parts: Sequence[_Points]) -> _Points:
+        return cls(*(np.concatenate(values) for values in zip(*(vars(part).values() for part in parts), strict=True)))
 
 
 @dataclass
 class _Found:
     """Of points at X (n, gdim): passed (n,) which have been carried through; depth (n,) how deep the others are unfelt, as a
     share of the longer facet; missed (n,) which are deeper than contact can leave them; silent (n,) beside which nothing is
-    or was in contact."""
+    or was in contact; beyond (n,) which lie beyond their surface's end."""
 
     X: Array
     passed: Bool
     depth: Array
     missed: Bool
     silent: Bool
+    beyond: Bool
+
+    def of(self, beyond: bool) -> _Found:
+        """Those beyond their surface's end, or the others."""
+        return _Found(*(values[self.beyond == beyond] for values in vars(self).values()))
 
 
 class Unfelt:
@@ -243,7 +256,9 @@ class Unfelt:
         spacing = self._take_contactor(points, closed, before)
         facet = self._own[points.facet]
         silent, extents = self._contactor.silent[facet], self._contactor.target.extents[facet]
-        open_ = _Points(x0, now.x, X, silent, silent, extents, np.zeros(len(X))).take(silent & np.bool_(not known))
+        no = np.zeros(len(X), dtype=bool)
+        open_ = _Points(x0, now.x, X, silent, silent, extents, np.zeros(len(X)), deep=no, beyond=no)
+        open_ = open_.take(silent & np.bool_(not known))
         nodes = self._nodes(self._contactor, self._contactor.of_nodes(spacing))
         in_contact = any_over(self._comm, closed.any())
         if isinstance(self._target, RigidTarget):
@@ -258,19 +273,18 @@ class Unfelt:
             return said
         self._take_target(at, closed, before)
         others = self._nodes(self._other, np.zeros(len(self._other.target.nodes)))
-        said = self._folds((self._contactor, self._other)) or self._findings(
-            [
-                self._at_surface(open_, self._other),
-                self._at_surface(nodes, self._other, look_deep=True),
-                self._at_surface(others, self._contactor, look_deep=True, spacing=spacing),
-            ]
-        )
+        parts = [open_, nodes], [others]
         if in_contact and not self._is_of_one:
-            for name, side, other in (
-                ("contactor", self._contactor, self._other),
-                ("target", self._other, self._contactor),
-            ):
-                said = said + self._unnamed(name, side, self._at_surface(self._beyond(side), other, look_deep=True))
+            parts[0].append(self._beyond(self._contactor))
+            parts[1].append(self._beyond(self._other))
+        found = [
+            self._at_surface(_Points.together(parts[0]), self._other),
+            self._at_surface(_Points.together(parts[1]), self._contactor, spacing=spacing),
+        ]
+        said = self._folds((self._contactor, self._other)) or self._findings([each.of(beyond=False) for each in found])
+        sides = ("contactor", self._contactor), ("target", self._other)
+        for (name, side), each in zip(sides, found, strict=True):
+            said = said + self._unnamed(name, side, each.of(beyond=True))
         if said or in_contact:
             return said
         return self._elsewhere([(nodes, self._other), (others, self._contactor)])
@@ -304,13 +318,14 @@ class Unfelt:
         """This rank's share of a surface's nodes; `reach` (nodes,) in metres."""
         surface, extent = side.target.surface, side.of_nodes(side.target.extents)
         loose, silent = (side.of_nodes(~values) == 0.0 for values in (~side.closed, side.silent))
-        every = _Points(side.before, side.target.nodes, surface.X, loose, silent, extent, reach)
+        no = np.zeros(len(silent), dtype=bool)
+        every = _Points(side.before, side.target.nodes, surface.X, loose, silent, extent, reach, deep=~no, beyond=no)
         return every.take(np.arange(self._comm.rank, len(silent), self._comm.size))
 
     def _beyond(self, side: _Side) -> _Points:
         """This rank's share of the nodes beyond a surface's ends."""
-        x, X, nowhere = side.beyond.nodes(), side.beyond.X, np.zeros(len(side.beyond.X), dtype=bool)
-        every = _Points(x, x, X, nowhere, nowhere, side.beyond.extent, np.ones(len(X)))
+        x, X, no = side.beyond.nodes(), side.beyond.X, np.zeros(len(side.beyond.X), dtype=bool)
+        every = _Points(x, x, X, no, no, side.beyond.extent, np.ones(len(X)), deep=~no, beyond=~no)
         return every.take(np.arange(self._comm.rank, len(X), self._comm.size))
 
     def _between(self, obstacle: Obstacle, spacing: Array) -> _Points:
@@ -328,29 +343,26 @@ class Unfelt:
         N, own = surface.shape.tabulate(η)[0], surface.facets[facets]
         x0, x, X = ((N @ v[own]).reshape(-1, v.shape[1]) for v in (self._contactor.before, target.nodes, surface.X))
         of, every = np.repeat(facets, len(η)), np.ones(len(x), dtype=bool)
-        return _Points(x0, x, X, every, every, target.extents[of], spacing[of])
+        return _Points(x0, x, X, every, every, target.extents[of], spacing[of], deep=every, beyond=~every)
 
     # ---------------------------------------------------------------- what is found
 
-    def _at_surface(
-        self, points: _Points, other: _Side, look_deep: bool = False, spacing: Array | None = None
-    ) -> _Found:
-        """Points beside the other surface; `look_deep` if they are to be apart from it even where they have not passed,
-        `spacing` (nf,) of the integration points on it, if they are there (m)."""
-        passed = points.silent.copy()
+    def _at_surface(self, points: _Points, other: _Side, spacing: Array | None = None) -> _Found:
+        """Points beside the other surface; `spacing` (nf,) of the integration points on it, if they are there (m)."""
+        passed, suspect = points.silent.copy(), points.deep.copy()
         if passed.any():
             passed[passed] = other.passed(points.x0[passed], points.x[passed])
-        suspect = passed.copy()
-        if look_deep:
-            least = np.where(points.silent, SHARE / 2, TOLD / 2) * np.maximum(points.extent, other.target.extents.min())
-            suspect |= other.depth_behind(points.x) > np.maximum(least - 2 * other.bulge(), 0.0)
+        least = np.where(points.silent, SHARE / 2, TOLD / 2) * np.maximum(points.extent, other.target.extents.min())
+        least = np.maximum(least - 2 * other.bulge(), 0.0)
+        suspect[suspect] = other.depth_behind(points.x[suspect]) > least[suspect]
+        suspect |= passed
         points, passed = points.take(suspect), passed[suspect]
         if not any_over(self._comm, suspect.any()):
-            return _Found(points.X, passed, np.zeros(0), passed, passed)
+            return _Found(points.X, passed, np.zeros(0), passed, passed, passed)
         at = other.target.closest(points.x)
         facet = at.point.facet
         longer = np.maximum(points.extent, other.target.extents[facet])
-        reach = points.reach if spacing is None else spacing[facet]
+        reach = points.reach if spacing is None else np.where(points.beyond, points.reach, spacing[facet])
         deep = at.facing & (at.g > np.where(passed, 0.0, SHARE * longer))
         within = np.zeros(len(deep), dtype=bool)
         if any_over(self._comm, deep.any()):
@@ -375,7 +387,7 @@ class Unfelt:
             target.surface, before, target.nodes, x0[free], now.x[free], DEPTH * target.size, counts
         )
         nowhere = np.zeros(len(free), dtype=bool)
-        return _Found(X[free], passed, np.zeros(len(free)), nowhere, nowhere)
+        return _Found(X[free], passed, np.zeros(len(free)), nowhere, nowhere, nowhere)
 
     def _folds(self, sides: tuple[_Side, ...]) -> list[Finding]:
         """Membranes that have folded over."""
@@ -416,7 +428,7 @@ class Unfelt:
 
     def _findings(self, found: list[_Found]) -> list[Finding]:
         """In words, on all ranks (collective)."""
-        X, passed, depth, missed, silent = (
+        X, passed, depth, missed, silent, _ = (
             np.concatenate([getattr(part, name) for part in found]) for name in vars(found[0])
         )
         through = [tuple(x) for part in self._comm.allgather(X[passed].tolist()) for x in part]
@@ -441,7 +453,7 @@ def _found(points: _Points, passed: Bool, depth: Array, silent: Bool, reach: Arr
     far = depth > DEEPEST * longer
     missed = points.loose & far & (depth > reach)
     told = silent | (depth > TOLD * longer)
-    return _Found(points.X, passed, np.where(told, depth, 0.0) / longer, missed, silent)
+    return _Found(points.X, passed, np.where(told, depth, 0.0) / longer, missed, silent, points.beyond)
 
 
 def _share_a_piece(a: Surface, b: Surface, bodies: Bodies) -> bool:
