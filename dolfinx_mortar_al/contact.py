@@ -28,7 +28,8 @@ class Contact:
         epsilon_normal, epsilon_tangential: augmentation parameters ε_N, ε_T (Pa/m). By default both come from the bulk
             stiffness at the surfaces; the answer depends on them only where a facet is partly closed. Pressures near the
             bodies' moduli add to either.
-        multiplier_order: of the multiplier's Lagrange element, 1 or, as in the paper, the displacement's.
+        multiplier_order: of the multiplier's Lagrange element, 1 or, as in the paper, the displacement's; by default 1, and
+            the displacement's against a rigid obstacle with a radius of few facets, or of facets that round (docs/theory.md).
         projection: "rays" along the contactor's normals, or "closest", the paper's closest points. A rigid obstacle always
             has the closest points.
         integration: "segments", between the ends of the target's facets as the contactor's rays see them, which follow the
@@ -52,7 +53,7 @@ class Contact:
     friction: float | fem.Constant = 0.0
     epsilon_normal: float | None = None
     epsilon_tangential: float | None = None
-    multiplier_order: int = 1
+    multiplier_order: int | None = None
     projection: str = "rays"
     integration: str = "gauss"
     quadrature_degree: int | None = None
@@ -74,7 +75,8 @@ class Contact:
                 keep(label, number(label, value, above=0.0, must=must))
         if self.quadrature_degree is not None:
             keep("quadrature_degree", whole("quadrature_degree", self.quadrature_degree, least=0, most=30))
-        keep("multiplier_order", whole("multiplier_order", self.multiplier_order, least=1, most=2))
+        if self.multiplier_order is not None:
+            keep("multiplier_order", whole("multiplier_order", self.multiplier_order, least=1, most=2))
         if not isinstance(self.projection, str) or self.projection not in ("rays", "closest"):
             raise ValueError(f'projection = "{self.projection}": "rays" or "closest"')
         if self.name is not None and (not isinstance(self.name, str) or not self.name or set(self.name) & set("/\0")):

@@ -25,7 +25,7 @@ from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, deg
 from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
 from dolfinx_mortar_al.law import OPEN, SLIP, Augmentation, Coulomb, Frictionless, LawState, augmented_normal
 from dolfinx_mortar_al.monitors import Finding, warn
-from dolfinx_mortar_al.multiplier import MultiplierSpace
+from dolfinx_mortar_al.multiplier import MultiplierSpace, default_order
 from dolfinx_mortar_al.obstacles import Pose
 from dolfinx_mortar_al.pair_findings import PairFindings
 from dolfinx_mortar_al.pieces import seen_by_any
@@ -82,6 +82,7 @@ class ContactPair(PairFindings):
         contactor = self.facets.gather()
         self.target = self._make_target(bodies, contactor.size_of_facets)
         self._contactor, self._own = contactor, contactor.places_of(self.facets)
+        self.multiplier_order = contact.multiplier_order or default_order(contactor, contact.target)
         self.is_segmented = contact.integration == "segments" and isinstance(self.target, DeformableTarget)
         #: Gauss points of whole facets, where λ̂_N is kept from step to step
         self.gauss = self._points(contactor)
@@ -110,7 +111,7 @@ class ContactPair(PairFindings):
         surface = contact.target if isinstance(contact.target, Surface) else None
         self._prescribed_nodes = PrescribedNodes(contact.contactor, self.target, surface, bodies)
         components = self.gdim if friction else 1
-        self.multiplier = MultiplierSpace(self.facets, contact.multiplier_order, components, redundant)
+        self.multiplier = MultiplierSpace(self.facets, self.multiplier_order, components, redundant)
         corners = None
         if not self.target.is_contactor:  # at a crease the roles decide, and with equal orders both sides count
             corners = SharpCorners.of(self.facets, contactor, self.multiplier.own, self.comm)
@@ -150,17 +151,17 @@ class ContactPair(PairFindings):
 
     def _points(self, contactor: GatheredFacets) -> IntegrationPoints:
         """The Gauss points on this rank's part of the contactor."""
-        contact, order = self.contact, self.facets.shape.order
-        if contact.multiplier_order not in (1, order):
+        contact, order = self.contact, self.multiplier_order
+        if order not in (1, self.facets.shape.order):
             raise ValueError(
-                f"{self.name}: multiplier_order = {contact.multiplier_order} for a displacement of order {order}: "
-                f"take 1{f' or {order}' if order > 1 else ''}"
+                f"{self.name}: multiplier_order = {order} for a displacement of order {self.facets.shape.order}: "
+                f"take 1{f' or {self.facets.shape.order}' if self.facets.shape.order > 1 else ''}"
             )
         degree = contact.quadrature_degree
-        if degree is not None and degree < 2 * contact.multiplier_order:
+        if degree is not None and degree < 2 * order:
             raise ValueError(
                 f"{self.name}: quadrature_degree = {degree} has too few points to determine multipliers of order "
-                f"{contact.multiplier_order}; take at least {2 * contact.multiplier_order}"
+                f"{order}; take at least {2 * order}"
             )
         count = self.facets.size
         if degree is not None and not self.is_segmented:
@@ -190,7 +191,7 @@ class ContactPair(PairFindings):
             if degree is None:
                 degree = default_degree(self.facets, self.contact.contactor.is_membrane)
             return ends_of(target.surface, self.gauss, degree, self.comm)
-        least = segment_degree(shape, target.surface.shape, self.contact.multiplier_order)
+        least = segment_degree(shape, target.surface.shape, self.multiplier_order)
         if not self.is_segmented:  # polygons are many, and exact with this
             return ends_of(target.surface, self.gauss, least, self.comm)
         return segments_of(self.facets, target.surface, degree or least, self.thickness, self.comm)
@@ -328,7 +329,7 @@ class ContactPair(PairFindings):
         """Let ε grow with the pressure p where that comes near a body's moduli: on the slope of a ripple as long as a facet,
         which multipliers of a lower order than the displacement do not see, p acts along the surface, and only the body and ε
         resist it (collective; docs/newton.md). Segments see it, obstacles have no ripples, and membranes have tension."""
-        sees = self.contact.multiplier_order == self.facets.shape.order or self.is_segmented
+        sees = self.multiplier_order == self.facets.shape.order or self.is_segmented
         if sees or self.stiffness_ratio == 0.0 or isinstance(self.kinematics, StepLevel):
             return
         p = np.maximum(self._normal_multiplier(), 0.0)
@@ -414,7 +415,7 @@ class ContactPair(PairFindings):
             points, closed = self.integration, self.active.closed
             if self.target.divide(points.facet, self.kinematics.faced, closed, self.comm):
                 self.kinematics.evaluate()
-            if self.contact.multiplier_order < self.facets.shape.order:
+            if self.multiplier_order < self.facets.shape.order:
                 carries = self.target.role[self.target.own] == 0
                 self.blocks.left_out = self.multiplier.touched(carries) & ~carries[:, None]
 
@@ -646,10 +647,9 @@ class ContactPair(PairFindings):
 
     def violation(self) -> float:
         """Largest |λ̂_N| (Pa) at a point that is closed or open against eq. (1), or excess of |λ̂_T| over the friction bound at
-        one that is held, as a share of the largest pressure (collective)."""
+        one that is held (collective)."""
         wrong = self.active.at_odds(self.state, self.kinematics, self.epsilon.normal) + self.active.beyond(self.state)
-        worst = max_over(self.comm, float(wrong.max(initial=0.0)))
-        return worst / max(self.largest_pressure(), 1e-300) if worst > 0 else 0.0
+        return max_over(self.comm, float(wrong.max(initial=0.0)))
 
     def misses_most(self) -> bool:
         """Whether points that slid off in this solve, and penetrate the target now, would bear more than all others do: no

@@ -84,7 +84,7 @@ def _of_pair(pair: ContactPair) -> Fingerprint:
     said = {
         "friction": repr(pair.friction_coefficient),
         "epsilon": f"{pair.contact.epsilon_normal} and {pair.contact.epsilon_tangential}, {pair.stiffness:.9g} by default",
-        "multiplier": f"order {contact.multiplier_order}, {pair.multiplier.components} components",
+        "multiplier": f"order {pair.multiplier.shape.order}, {pair.multiplier.components} components",
         "projection": contact.projection,
         "thickness": repr(contact.thickness),
         "integration": f"{contact.integration}, degree {contact.quadrature_degree or 'by default'}",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from math import comb
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -126,7 +127,10 @@ def _check_model(gmsh: Any, gdim: int | None) -> int:
 def _check_plane(gmsh: Any, gdim: int) -> None:
     x = np.asarray(gmsh.model.mesh.getNodes()[1]).reshape(-1, 3)
     if gdim == 2 and len(x) and np.ptp(x[:, 2]) > FLAT * np.linalg.norm(np.ptp(x, axis=0)):
-        raise ValueError(f"nodes off a plane (z from {x[:, 2].min():g} to {x[:, 2].max():g}); pass gdim=3")
+        raise ValueError(
+            f"nodes off a plane (z from {x[:, 2].min():g} to {x[:, 2].max():g}): put the volumes of bodies into physical "
+            "groups, too; for membranes in space pass gdim=3"
+        )
 
 
 def _in_groups(gmsh: Any, dim: int) -> tuple[Index, Index, set[int]]:
@@ -165,6 +169,7 @@ def _check_cells(gmsh: Any, dim: int) -> set[tuple[int, ...]]:
     _once(numbers, tags, "cells")
     mesh_ = gmsh.model.mesh
     kind = types.pop()
+    _check_kind(*mesh_.getElementProperties(kind)[:4])
     sides: list[Index] = []
     for _, tag in gmsh.model.getPhysicalGroups(dim):
         for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag):
@@ -179,6 +184,19 @@ def _check_cells(gmsh: Any, dim: int) -> set[tuple[int, ...]]:
                 nodes = np.asarray(mesh_.getElementsByType(kind, entity)[1], dtype=np.int64)
                 sides.append(nodes.reshape(-1, mesh_.getElementProperties(kind)[3])[:, :2].reshape(-1, 1))
     return {side for block in sides for side in _sorted(block)}
+
+
+def _check_kind(name: str, dim: int, order: int, nodes: int) -> None:
+    """Cells are complete simplices or cubes, as DOLFINx takes them."""
+    family = name.split()[0]
+    cube, simplex = (order + 1) ** dim, comb(order + dim, dim)
+    complete = {"Line": cube, "Triangle": simplex, "Quadrilateral": cube, "Tetrahedron": simplex, "Hexahedron": cube}
+    if family not in complete:
+        raise ValueError(f"cells of type {name}: mesh with tetrahedra or with hexahedra")
+    if nodes != complete[family]:
+        raise ValueError(
+            f"cells of type {name}, which lack nodes of their faces or middle: set gmsh's Mesh.SecondOrderIncomplete to 0"
+        )
 
 
 def _check_facets(gmsh: Any, dim: int, sides: set[tuple[int, ...]]) -> None:

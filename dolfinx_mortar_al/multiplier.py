@@ -1,7 +1,7 @@
 """The multiplier field Λ on a contactor's facets: its space, and the nodes where it is redundant.
 
 Continuous Lagrange elements of order 1, or of the displacement's order as in the paper: equal orders oscillate where the
-contactor is the stiffer side (``docs/theory.md``).
+contactor is the stiffer side, and order 1 sees of a facet's middle no more than a mean (``docs/theory.md``).
 
 Where the displacement is prescribed on both sides (the common clamp of section 4.1, a symmetry plane) the gap is given and
 the multiplier's node has nothing to enforce: kept, it would make the system singular. There the field is extrapolated
@@ -16,14 +16,26 @@ from dolfinx import fem
 from dolfinx.la import InsertMode
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.obstacles import Obstacle
 from dolfinx_mortar_al.reductions import any_over
-from dolfinx_mortar_al.surface import Facets, ShapeFunctions
+from dolfinx_mortar_al.surface import Facets, GatheredFacets, ShapeFunctions, Surface
 from dolfinx_mortar_al.versions import submesh
 
-__all__ = ["MultiplierSpace", "extrapolation"]
+__all__ = ["MultiplierSpace", "default_order", "extrapolation"]
 
 Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
+
+TURN = 0.5  # rad: of radii of two facets and more either order is right to 1 or 2 % (docs/theory.md)
+
+
+def default_order(contactor: GatheredFacets, target: Surface | Obstacle | None) -> int:
+    """1; against a rigid obstacle, which is never the softer side, the displacement's where they turn away from each other by
+    more than TURN over a facet: a zone of contact in the middle of so few facets is not seen by their corners."""
+    if not isinstance(target, Obstacle):
+        return 1
+    turn = np.abs(contactor.smooth_turns + contactor.diameters * target.curvature)
+    return contactor.shape.order if (turn > TURN).any() else 1
 
 
 def extrapolation(shape: ShapeFunctions, kept: Bool) -> Array:

@@ -30,7 +30,9 @@ NOT_FINITE = -4  # a reason that PETSc has renamed
 
 FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane's stiffness in its own plane
 LEAST_TENSION = 1e-12  # so much stays on what no force has met yet, lest the Jacobian be singular
-LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, as a share of the largest pressure
+LAW_TOLERANCE = (
+    1e-6  # on λ̂_N of the wrong sign, as a share of the pair's largest pressure, or where none presses of all's
+)
 TRAPPED = 4  # times that a step is halved lest cells be inverted: half of the one before is taken then, once in a solve
 LONGEST = 4.0  # target facets that a closed point may move over the target in one iteration
 UNSUITABLE = (56, 60, 62, 86, 92)  # PETSc's error codes where a solver does not take the matrix, or is not known
@@ -276,9 +278,7 @@ class NewtonSolver:
         if not np.isfinite(ratio).all():
             self.result.message = "the residual is not a number"
             return _Reason.DIVERGED_FNORM_NAN
-        if (max(ratio) <= 1.0 or self._at_round_off()) and all(
-            pair.violation() <= LAW_TOLERANCE for pair in self.problem.pairs
-        ):
+        if (max(ratio) <= 1.0 or self._at_round_off()) and self._obeys_law():
             pardoned = [pair.active.pardon(pair.state, pair.kinematics) for pair in self.problem.pairs]
             if not any(pardoned) and (missing := [pair.name for pair in self.problem.pairs if pair.misses_most()]):
                 self.result.message = f"{', '.join(missing)}: points that slid off the target's end lie in the target"
@@ -305,6 +305,16 @@ class NewtonSolver:
         if iteration >= snes.getTolerances()[3] or (tries >= allowed and min(recent) > NO_PROGRESS):
             return _Reason.DIVERGED_MAX_IT  # a long walk of the contact's edge, one facet at a time, may go on
         return self._watch_pattern(iteration)
+
+    def _obeys_law(self) -> bool:
+        """Whether points are closed and open as eq. (1) has them. Beside others that press, a pair of which one last point
+        hangs on by round-off does (collective)."""
+        pressures = [pair.largest_pressure() for pair in self.problem.pairs]
+        most = max(pressures, default=0.0)
+        return all(
+            pair.violation() <= LAW_TOLERANCE * (p or most)
+            for pair, p in zip(self.problem.pairs, pressures, strict=True)
+        )
 
     def _at_round_off(self) -> bool:
         """Whether the residual stands still a little above its tolerance: on fine meshes round-off may lie there."""

@@ -89,6 +89,11 @@ class Obstacle(ABC):
         return np.inf
 
     @property
+    def curvature(self) -> float:
+        """The largest of its surface (1/m), negative where that is hollow."""
+        return 0.0
+
+    @property
     def reach(self) -> float:
         """The length that its surface is computed with (m): as a share of it distances from the obstacle have round-off."""
         return float(np.linalg.norm(self.pivot))
@@ -201,6 +206,10 @@ class _Round(Obstacle):
     @property
     def smallest_radius(self) -> float:
         return np.inf if self.inside else self.radius
+
+    @property
+    def curvature(self) -> float:
+        return (-1.0 if self.inside else 1.0) / self.radius
 
 
 class RigidSphere(_Round):

@@ -45,6 +45,7 @@ DEEP = (
     "the surfaces overlap where they are in contact, and much of the force comes from that: the contact is on parts of the "
     "contactor's facets, which do not resolve it; refine the contactor there"
 )
+BY_ORDER = ", or take multiplier_order=2"  # where the displacement has that and the contactor is the softer side
 SWAP = ", or swap contactor and target"  # where both are surfaces of their own and the target is the finer one
 WAVERS = (
     "pressures waver by that share from point to point about those of the multiplier's nodes, as pressures near the bodies' "
@@ -205,7 +206,8 @@ class PairFindings(PairResults):
         borne, total = sum_over(self.comm, np.array([by_overlap, j @ self.state.p[closed]]))
         if value < OVERLAPS or borne < BY_OVERLAP * total:
             return None
-        says = DEEP + SWAP if may_swap else DEEP
+        sees = self.multiplier.shape.order == self.integration.facets.shape.order or self.stiffness_ratio > 1.0
+        says = DEEP + ("" if sees else BY_ORDER) + (SWAP if may_swap else "")
         return Finding(f"{self.name}: overlap in contact (facets)", value, X, says, False)
 
     def turned_force(self) -> Finding | None:

@@ -445,18 +445,27 @@ class GatheredFacets:
         """(nf,) how far facets fall short of the smooth surface that they stand for (m): one that turns by θ over a facet of
         length h rises by hθ/8, and what a curved facet rises by itself does not lack. None beside a sharp corner or edge,
         from which a straight flank may go on."""
-        X = self.X[self.facets]
-        length = 2 * np.linalg.norm(X - X.mean(axis=1, keepdims=True), axis=2).max(axis=1)
         normal = self._own_normals.mean(axis=1)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         is_smooth = (np.einsum("fi,fki->fk", normal, normal[self.neighbours]) > SHARP).all(axis=1)
-        return np.where(is_smooth & (self.turns > FLAT), np.maximum(length * self.turns / 8 - self.rises, 0.0), 0.0)
+        lacks = np.maximum(self.diameters * self.turns / 8 - self.rises, 0.0)
+        return np.where(is_smooth & (self.turns > FLAT), lacks, 0.0)
+
+    @cached_property
+    def smooth_turns(self) -> Array:
+        """(nf,) by how much the surface that they stand for turns over each facet (rad), but at sharp corners."""
+        return np.asarray(8 * (self.rises + self.sagittas) / self.diameters)
+
+    @cached_property
+    def diameters(self) -> Array:
+        """(nf,) of the facets in the reference configuration (m)."""
+        X = self.X[self.facets]
+        return np.asarray(2 * np.linalg.norm(X - X.mean(axis=1, keepdims=True), axis=2).max(axis=1))
 
     @cached_property
     def size_of_facets(self) -> float:
         """Largest diameter of a facet in the reference configuration (m)."""
-        X = self.X[self.facets]
-        return float(np.max(np.linalg.norm(X - X.mean(axis=1, keepdims=True), axis=2))) * 2
+        return float(np.max(self.diameters))
 
     def areas(self) -> Array:
         """(nf,) reference areas (m², or m in two dimensions)."""

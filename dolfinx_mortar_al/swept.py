@@ -12,7 +12,7 @@ from dolfinx_mortar_al.projection import dot, inverse
 from dolfinx_mortar_al.search import where
 from dolfinx_mortar_al.surface import GatheredFacets, surface_normal
 
-__all__ = ["DEPTH", "depth_behind", "passed_obstacle", "passed_through"]
+__all__ = ["DEPTH", "changed_side", "depth_behind", "passed_obstacle", "passed_through"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -22,6 +22,7 @@ DEPTH = 0.05  # of a facet, behind which an open point that came through its fro
 CHUNK = 2**20  # couples of points and facets looked at together
 OPPOSITE = -0.7  # cosine of the normals where a point has come in and out, of the two sides of a plate
 AROUND = 0.25  # of a piece, beside which it may hold the closest point of what is behind a hollow
+BEHIND = 0.5  # cosine of the normals of a surface and of an obstacle, from which on that lies behind the surface
 TOUCHES = 1e-3  # of the depth: so near a path comes to what lies that deep
 MAX_ITERATIONS = 100  # along a path; one that comes nearer that slowly grazes
 
@@ -149,25 +150,50 @@ class _Ways:
 
 def passed_obstacle(obstacle: Obstacle, before: Pose, x0: Array, x1: Array, depth: float) -> Bool:
     """(n,) points that went from 𝐱₀ to 𝐱₁ (n, gdim) through a rigid obstacle, `before` in another pose, deeper than `depth`
-    (m), and are out of it again. Their motion relative to it counts as straight; where it is at least as far away as its
-    clearance says it goes on by that (sphere tracing)."""
-    Y = obstacle.pivot + (x0 - obstacle.pivot - before.translation) @ before.rotation
-    start = obstacle.positions(Y)
-    length = np.linalg.norm(x1 - start, axis=1)
+    (m), and are out of it again. Their motion relative to it counts as straight."""
+    start = obstacle.positions(_material(obstacle, before, x0))
     ends = [-obstacle.project(x).g for x in (start, x1)]
-    passed = np.zeros(len(x0), dtype=bool)
-    may = (ends[0] >= 0) & (ends[1] >= 0) & (ends[0] + ends[1] + 2 * depth < length)
-    at, on = np.zeros(len(x0)), np.flatnonzero(may)
+    may = (ends[0] >= 0) & (ends[1] >= 0) & (ends[0] + ends[1] + 2 * depth < np.linalg.norm(x1 - start, axis=1))
+    return _goes_deep(obstacle, start, x1, depth, may)
+
+
+def changed_side(
+    obstacle: Obstacle, before: Pose, x: Sequence[Array], n: Sequence[Array], depth: float, either: bool
+) -> Bool:
+    """(n,) points of a surface that a rigid obstacle, `before` in another pose, was in front of, and that it lies behind now;
+    the points went deeper into it than `depth` (m), wherever they are. With `either` it may have come from behind, too.
+
+    `x`, `n`: (n, gdim) positions (m) of the points and unit normals there, before and now. Where contact is right an obstacle
+    lies in front of what it touches, however far this slides round it."""
+    start = obstacle.positions(_material(obstacle, before, x[0]))
+    turn = before.rotation @ obstacle.pose.rotation.T
+    was, now = dot(n[0] @ turn, obstacle.project(start).ν), dot(n[1], obstacle.project(x[1]).ν)
+    may = (was < 0.0) & (now > BEHIND)
+    if either:
+        may |= (was > 0.0) & (now < -BEHIND)
+    return _goes_deep(obstacle, start, x[1], depth, may)
+
+
+def _material(obstacle: Obstacle, pose: Pose, x: Array) -> Array:
+    """(n, gdim) initial positions of the obstacle's material points that are at 𝐱 (n, gdim) in a pose."""
+    return np.asarray(obstacle.pivot + (x - obstacle.pivot - pose.translation) @ pose.rotation)
+
+
+def _goes_deep(obstacle: Obstacle, start: Array, end: Array, depth: float, may: Bool) -> Bool:
+    """(n,) which of the points that `may` are deeper in an obstacle than `depth` (m) somewhere on the straight way from
+    `start` to `end` (n, gdim): where that is as far away as its clearance says it goes on by that (sphere tracing)."""
+    deep = np.zeros(len(start), dtype=bool)
+    length, at, on = np.linalg.norm(end - start, axis=1), np.zeros(len(start)), np.flatnonzero(may)
     for _ in range(MAX_ITERATIONS):
         if not len(on):
             break
-        x = start[on] + at[on, None] * (x1 - start)[on]
+        x = start[on] + at[on, None] * (end - start)[on]
         clearance = depth - obstacle.project(x).g
         met = clearance <= TOUCHES * depth
-        passed[on[met]] = True
-        at[on] += clearance / length[on]
+        deep[on[met]] = True
+        at[on] += clearance / np.maximum(length[on], 1e-300)
         on = on[~met & (at[on] < 1.0)]
-    return passed
+    return deep
 
 
 def _normal(c: Array, orientation: Array) -> Array:

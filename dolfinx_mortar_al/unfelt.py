@@ -5,7 +5,8 @@ through a thin target without any state in between; and corners of either surfac
 points. So the nodes of both surfaces, and open points, are looked at once more:
 
 - what came through the front of the other surface where nothing is in contact, and is not in the body, has been carried
-  through it;
+  through it; so has what a rigid obstacle lies behind that was in front of it, wherever contact is: there it would be pushed
+  on;
 - what lies in the other body where nothing is in contact overlaps it unfelt;
 - a membrane, which bears no compression, has folded over where Newton's iterates were wild: an unstable equilibrium;
 - where nothing at all is in contact, a node that lies in the other body, at any depth, says that the bodies meet with
@@ -29,6 +30,7 @@ from dolfinx_mortar_al.beyond import Beyond
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.inside import Inside
 from dolfinx_mortar_al.integration import IntegrationPoints
+from dolfinx_mortar_al.kinematics import contactor_points
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.obstacles import Obstacle, Pose
 from dolfinx_mortar_al.pieces import seen_by_any
@@ -36,7 +38,7 @@ from dolfinx_mortar_al.projection import Projection
 from dolfinx_mortar_al.reductions import any_over, max_over
 from dolfinx_mortar_al.self_target import SelfTarget
 from dolfinx_mortar_al.surface import Facets, Surface, surface_normal
-from dolfinx_mortar_al.swept import DEPTH, depth_behind, passed_obstacle, passed_through
+from dolfinx_mortar_al.swept import DEPTH, changed_side, depth_behind, passed_obstacle, passed_through
 from dolfinx_mortar_al.targets import ContactorPoints, DeformableTarget, Place, RigidTarget, Target
 
 __all__ = ["Converged", "Unfelt"]
@@ -263,10 +265,14 @@ class Unfelt:
         in_contact = any_over(self._comm, closed.any())
         if isinstance(self._target, RigidTarget):
             assert isinstance(before.place, Pose)
-            parts = open_, nodes, self._between(self._target.obstacle, spacing)
-            said = self._folds((self._contactor,)) or self._findings(
-                [self._at_obstacle(self._target, part, before.place) for part in parts]
-            )
+            found = [
+                self._at_obstacle(self._target, part, before.place)
+                for part in (open_, nodes, self._between(self._target.obstacle, spacing))
+            ]
+            if not known:
+                was = contactor_points(points, before.nodes)
+                found.append(self._turned(self._target, (was, now), X, before.place))
+            said = self._folds((self._contactor,)) or self._findings(found)
             if in_contact:
                 ends = self._at_obstacle(self._target, self._beyond(self._contactor), before.place)
                 said = said + self._unnamed("contactor", self._contactor, ends)
@@ -376,6 +382,14 @@ class Unfelt:
         passed = passed_obstacle(target.obstacle, before, points.x0, points.x, DEPTH * target.size)
         depth = np.where(at.facing & (points.reach > 0.0), np.maximum(at.g, 0.0), 0.0)
         return _found(points, passed & points.silent, depth, points.silent, points.reach, points.extent)
+
+    def _turned(self, target: RigidTarget, ways: Sequence[ContactorPoints], X: Array, before: Pose) -> _Found:
+        """Points that a step has carried to the other side of a rigid obstacle, whether that touches them there or not."""
+        x, n = [points.x for points in ways], [points.normal for points in ways]
+        depth = DEPTH * target.size
+        passed = changed_side(target.obstacle, before, x, n, depth, either=self._contactor.is_membrane)
+        no = np.zeros(len(X), dtype=bool)
+        return _Found(X, passed, np.zeros(len(X)), no, no, no)
 
     def _through_itself(
         self, target: SelfTarget, now: ContactorPoints, x0: Array, X: Array, free: Index, before: Place

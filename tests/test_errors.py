@@ -369,7 +369,7 @@ def gmsh_file(path, build):
         gmsh.model.occ.synchronize()
         build(gmsh, a, b, gmsh.model.addPhysicalGroup)
         gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
-        gmsh.model.mesh.generate(2)
+        gmsh.model.mesh.generate(3)
         gmsh.option.setNumber("Mesh.SaveAll", path.stem == "only_facets")
         if path.stem == "partitioned":
             gmsh.model.mesh.partition(2)
@@ -395,7 +395,28 @@ MSH = {
     "only_facets": (lambda g, a, b, group: group(1, [1], 11), "but not of cells"),
     "partitioned": (lambda g, a, b, group: group(2, [a, b], 1), "partitioned; save it as one piece"),
     "truncated": (lambda g, a, b, group: group(2, [a, b], 1), "gmsh cannot read it"),
+    "incomplete": (lambda g, a, b, group: _of_order_2(g, group, a, b), "type Quadrilateral 8.*SecondOrderIncomplete"),
+    "prisms": (lambda g, a, b, group: _solid(g, group, a, volume=True), "type Prism 6: mesh with tetrahedra"),
+    "no_volume": (lambda g, a, b, group: _solid(g, group, a, volume=False), "put the volumes of bodies into physical"),
 }
+
+
+def _of_order_2(gmsh, group, *squares):
+    """Quadrilaterals without a node in their middle."""
+    group(2, squares, 1)
+    for square in squares:
+        gmsh.model.mesh.setRecombine(2, square)
+    gmsh.option.setNumber("Mesh.SecondOrderIncomplete", 1)
+    gmsh.option.setNumber("Mesh.ElementOrder", 2)
+
+
+def _solid(gmsh, group, square, volume):
+    """A cube of prisms over a square, in a group or but for a group of its faces."""
+    cube = gmsh.model.occ.extrude([(2, square)], 0, 0, 1, numElements=[2], recombine=True)
+    gmsh.model.occ.synchronize()
+    if volume:
+        group(3, [cube[1][1]], 1)
+    group(2, [number for dim, number in cube if dim == 2], 2)
 
 
 @pytest.mark.parametrize("kind", MSH)

@@ -1,5 +1,7 @@
 """Newton's steps are shortened lest cells be inverted; half of one that leaves no way on is taken back."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scenes import beams
@@ -49,3 +51,20 @@ def test_a_second_trap_ends_the_solve(monkeypatch, again):
     result, starts, _ = solved(monkeypatch, trapped=(2, again))
     assert not result.converged and len(starts) == again
     assert "would leave an inverted cell" in result.message
+
+
+@pytest.mark.one_rank
+@pytest.mark.parametrize(
+    "pressures, violations, obeys",
+    [((0.0, 1e4), (3e-5, 0.0), True), ((0.0, 0.0), (3e-5, 0.0), False), ((1.0, 1e4), (3e-5, 0.0), False)],
+)
+def test_a_last_point_that_round_off_pulls(monkeypatch, pressures, violations, obeys):
+    """In a pair in which nothing presses it is judged by the other's pressures: as a share of none it kept a solve, of four
+    rollers at their first contact, that had converged to 9e-12 going for 30 iterations."""
+    solver = NewtonSolver(beams()[0])
+    pairs = [
+        SimpleNamespace(largest_pressure=lambda p=p: p, violation=lambda v=v: v)
+        for p, v in zip(pressures, violations, strict=True)
+    ]
+    monkeypatch.setattr(solver.problem, "pairs", pairs)
+    assert solver._obeys_law() == obeys
