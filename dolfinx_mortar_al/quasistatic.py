@@ -236,7 +236,8 @@ def follow(
         until: an event of the converged state that ends the path, as in :func:`march`; not looked at in the first step.
 
     Raises:
-        ValueError: at the call: `steps` < 1, a first load or a length of zero, or a load that is not one number.
+        ValueError: at the call: `steps` < 1, a first load or a length of zero, a length beyond the largest body's, or a load
+            that is not one number.
         StepFailure: on every rank, in a step.
     """
     steps, length = validation.whole("steps", steps, least=1), validation.number("length", length, above=0.0)
@@ -250,6 +251,12 @@ def follow(
         raise ValueError(f"load: {type(load).__name__} of several components; the unknown load of a path is one number")
     begin = None if start is None else validation.number("start", start)
     agreed(problem.comm, "first, length, steps, start, smallest", (first, length, steps, begin, smallest))
+    largest = float(problem.bodies.diameters().max())
+    if length > largest:
+        raise ValueError(
+            f"length = {length:g}: a step would move some node by more than the largest body's size, {largest:.3g} m; take a "
+            "few hundredths of it"
+        )
     control = _PathControl(problem, stepping.solver_of(problem, solver), moved, first, length, steps, smallest, event)
     return March(_follow(control, begin, progress), problem.comm.rank)
 

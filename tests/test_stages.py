@@ -276,6 +276,7 @@ def test_arguments_are_checked_at_the_call():
         (lambda: quasistatic.follow(problem, block.top, first=1.0, length=1.0, steps=1), "march it in time"),
         (lambda: quasistatic.follow(block.problem, block.top, first=1.0, length=1.0, steps=1), "one number"),
         (lambda: quasistatic.follow(block.problem, print, first=0.0, length=1.0, steps=1), "first = 0"),
+        (lambda: quasistatic.follow(block.problem, print, first=1.0, length=20.0, steps=1), "the largest body's size"),
         (lambda: quasistatic.march(block.problem, block.top, to=(1.0,), increments=1), r"shape \(2,\)"),
         (lambda: quasistatic.march(block.problem, block.u, to=print, increments=1), "is the displacement"),
         (lambda: quasistatic.march(block.problem, "load", to=1.0, increments=1), "load: str is no load"),
