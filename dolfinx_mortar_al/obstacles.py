@@ -23,6 +23,7 @@ __all__ = ["Obstacle", "Pose", "RigidCylinder", "RigidPlane", "RigidSphere"]
 Array = NDArray[np.float64]
 
 ONE_ANGLE = "needs one finite angle in rad in two dimensions,"
+OPPOSITE = -0.99  # cosine of directions that no shortest rotation is looked for between
 NO_DIRECTION = 1e-12  # distance to a centre or axis, in radii, below which no closest point is defined
 
 
@@ -142,6 +143,16 @@ class Obstacle(ABC):
         pose = self._pose if pose is None else pose
         return np.asarray(self.pivot + pose.translation + (Y - self.pivot) @ pose.rotation.T)
 
+    def swing(self, before: Pose) -> Array:
+        """The rotation (gdim, gdim) of its surface since another pose, without what turns it in itself."""
+        return self._pose.rotation @ before.rotation.T
+
+    def carried(self, x: Array, before: Pose) -> Array:
+        """Where points at 𝐱 (n, gdim) in another pose are now if they went with its surface."""
+        return np.asarray(
+            self.pivot + self._pose.translation + (x - self.pivot - before.translation) @ self.swing(before).T
+        )
+
     def project(self, x: Array) -> ClosestPoint:
         """The closest-point map of 𝐱 (n, gdim); its `point.η` (n, gdim) is the closest point's initial position Y."""
         Q, present = self._pose.rotation, self.pivot + self._pose.translation
@@ -186,6 +197,9 @@ class RigidPlane(Obstacle):
         super().__init__(_vector("point", point))
         self.normal = _unit("normal", normal, self.gdim)
 
+    def swing(self, before: Pose) -> Array:
+        return _shortest(super().swing(before), before.rotation @ self.normal)
+
     def _nearest(self, r: Array) -> _Nearest:
         ν = np.repeat(self.normal[None], len(r), axis=0)
         flat = r - (r @ self.normal)[:, None] * self.normal
@@ -227,6 +241,9 @@ class RigidSphere(_Round):
     def __init__(self, centre: ArrayLike, radius: float, inside: bool = False) -> None:
         super().__init__(_vector("centre", centre), radius, inside)
 
+    def swing(self, before: Pose) -> Array:
+        return np.eye(self.gdim)
+
     def _nearest(self, r: Array) -> _Nearest:
         e, defined = _direction(r, np.eye(self.gdim)[0], self.radius)
         side = -1.0 if self.inside else 1.0
@@ -251,6 +268,9 @@ class RigidCylinder(_Round):
         super().__init__(_vector("point", point, 3), radius, inside)
         self.axis = _unit("axis", axis, 3)
 
+    def swing(self, before: Pose) -> Array:
+        return _shortest(super().swing(before), before.rotation @ self.axis)
+
     def _nearest(self, r: Array) -> _Nearest:
         along = (r @ self.axis)[:, None] * self.axis
         e, defined = _direction(r - along, _tangents(self.axis[None])[0, 0], self.radius)
@@ -258,6 +278,17 @@ class RigidCylinder(_Round):
         a = np.stack([np.cross(self.axis, side * e), np.broadcast_to(self.axis, e.shape)], axis=1)
         κ = np.tile([-side / self.radius, 0.0], (len(r), 1))
         return _Nearest(along + self.radius * e, side * e, a, κ, defined)
+
+
+def _shortest(turn: Array, axis: Array) -> Array:
+    """The rotation (gdim, gdim) by the least angle that takes a unit vector `axis` (gdim,) to where the rotation `turn` does;
+    `turn` itself in the plane, and where the vector is turned round."""
+    end = turn @ axis
+    cosine = axis @ end
+    if len(axis) == 2 or cosine < OPPOSITE:
+        return turn
+    across = np.outer(end, axis) - np.outer(axis, end)  # times the angle's sine, about axis × end
+    return np.asarray(np.eye(3) + across + across @ across / (1.0 + cosine))
 
 
 def _direction(r: Array, otherwise: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:

@@ -150,8 +150,8 @@ class _Ways:
 
 def passed_obstacle(obstacle: Obstacle, before: Pose, x0: Array, x1: Array, depth: float) -> Bool:
     """(n,) points that went from 𝐱₀ to 𝐱₁ (n, gdim) through a rigid obstacle, `before` in another pose, deeper than `depth`
-    (m), and are out of it again. Their motion relative to it counts as straight."""
-    start = obstacle.positions(_material(obstacle, before, x0))
+    (m), and are out of it again. Their motion relative to its surface counts as straight."""
+    start = obstacle.carried(x0, before)
     ends = [-obstacle.project(x).g for x in (start, x1)]
     may = (ends[0] >= 0) & (ends[1] >= 0) & (ends[0] + ends[1] + 2 * depth < np.linalg.norm(x1 - start, axis=1))
     return _goes_deep(obstacle, start, x1, depth, may)
@@ -165,18 +165,12 @@ def changed_side(
 
     `x`, `n`: (n, gdim) positions (m) of the points and unit normals there, before and now. Where contact is right an obstacle
     lies in front of what it touches, however far this slides round it."""
-    start = obstacle.positions(_material(obstacle, before, x[0]))
-    turn = before.rotation @ obstacle.pose.rotation.T
-    was, now = dot(n[0] @ turn, obstacle.project(start).ν), dot(n[1], obstacle.project(x[1]).ν)
+    start, turned = obstacle.carried(x[0], before), n[0] @ obstacle.swing(before).T
+    was, now = dot(turned, obstacle.project(start).ν), dot(n[1], obstacle.project(x[1]).ν)
     may = (was < 0.0) & (now > BEHIND)
     if either:
         may |= (was > 0.0) & (now < -BEHIND)
     return _goes_deep(obstacle, start, x[1], depth, may)
-
-
-def _material(obstacle: Obstacle, pose: Pose, x: Array) -> Array:
-    """(n, gdim) initial positions of the obstacle's material points that are at 𝐱 (n, gdim) in a pose."""
-    return np.asarray(obstacle.pivot + (x - obstacle.pivot - pose.translation) @ pose.rotation)
 
 
 def _goes_deep(obstacle: Obstacle, start: Array, end: Array, depth: float, may: Bool) -> Bool:

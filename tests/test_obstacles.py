@@ -228,3 +228,27 @@ def test_errors_name_the_argument_and_its_value(make, message):
 def test_a_pose_that_is_no_rotation_is_refused(Q):
     with pytest.raises(ValueError, match=r"rotation = .*: needs an orthogonal 2×2 matrix"):
         RigidSphere([0, 0], 1.0).pose = Pose(np.zeros(2), Q)
+
+
+@pytest.mark.parametrize("name", OBSTACLES)
+def test_what_goes_with_its_surface_keeps_its_distance(name):
+    """From a pose to another, however far; turns of the surface in itself do not move it."""
+    rng = np.random.default_rng(5)
+    obstacle = OBSTACLES[name]()
+    x = rng.normal(size=(20, obstacle.gdim))
+    for rotation in rng.normal(size=(6, 2 * obstacle.gdim - 3)):
+        before, g = obstacle.pose, obstacle.project(x).g
+        obstacle.move(rng.normal(size=obstacle.gdim), 2.0 * rotation)
+        there = obstacle.carried(x, before)
+        assert np.allclose(obstacle.project(there).g, g, atol=1e-13)
+        apart = [np.linalg.norm(v[1:] - v[0], axis=1) for v in (x, there)]
+        assert np.allclose(*apart, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", ["plane", "sphere", "cylinder", "bore"])
+def test_what_turns_in_itself_carries_nothing(name):
+    obstacle, x = OBSTACLES[name](), np.random.default_rng(6).normal(size=(20, 3))
+    before = obstacle.pose
+    axis = {"plane": "normal", "sphere": "pivot"}.get(name, "axis")
+    obstacle.move(np.zeros(3), 2.0 * getattr(obstacle, axis))
+    assert np.allclose(obstacle.carried(x, before), x, atol=1e-13)

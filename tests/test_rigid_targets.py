@@ -90,6 +90,21 @@ def test_a_turning_circle_drags_too():
     assert on_circle == pytest.approx(-0.3 * abs(fy), rel=8e-2)  # the block resists the turn, at the lever R = 1
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_roller_may_turn_by_any_angle_in_a_step(dim):
+    """What lies beside it is not carried through it: seen from its material it was, and steps of 1 rad were rejected."""
+    eye, turn = np.eye(dim), np.eye(2 * dim - 3)[-1]
+    roller = (
+        obstacles.RigidSphere([0.0, 0.3], 0.3) if dim == 2 else obstacles.RigidCylinder([0, 0.3, 0], [0, 0, 1], 0.3)
+    )
+    problem = block(roller, dim=dim, friction=0.3, order=1)
+    for _ in quasistatic.march(problem, lambda t: roller.move(-0.03 * t * eye[1]), to=1.0, increments=2):
+        pass
+    steps = list(quasistatic.march(problem, lambda t: roller.move(-0.03 * eye[1], t * turn), to=4.0, increments=2))
+    assert not any(step.rejected for step in steps)
+    assert problem.pairs[0].force()[0] > 0.2 * abs(problem.pairs[0].force()[1])
+
+
 def test_hertz():
     """A circle on a large block: p₀ = √(F E*/(πR)), E* = E/(1 − ν²); 3 % for the finite block and mesh."""
     circle = obstacles.RigidSphere([0.0, 5.0], 5.0)
