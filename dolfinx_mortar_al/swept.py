@@ -22,7 +22,8 @@ DEPTH = 0.05  # of a facet, behind which an open point that came through its fro
 CHUNK = 2**20  # couples of points and facets looked at together
 OPPOSITE = -0.7  # cosine of the normals where a point has come in and out, of the two sides of a plate
 AROUND = 0.25  # of a piece, beside which it may hold the closest point of what is behind a hollow
-BEHIND = 0.5  # cosine of the normals of a surface and of an obstacle, from which on that lies behind the surface
+BEHIND = 0.1  # cosine of the normals of a surface and of an obstacle, from which on that lies behind the surface,
+BENEATH = 0.5  # and where the surface lies in it: beside a corner that is pressed in they are at an angle
 TOUCHES = 1e-3  # of the depth: so near a path comes to what lies that deep
 MAX_ITERATIONS = 100  # along a path; one that comes nearer that slowly grazes
 
@@ -160,16 +161,20 @@ def passed_obstacle(obstacle: Obstacle, before: Pose, x0: Array, x1: Array, dept
 def changed_side(
     obstacle: Obstacle, before: Pose, x: Sequence[Array], n: Sequence[Array], depth: float, either: bool
 ) -> Bool:
-    """(n,) points of a surface that a rigid obstacle, `before` in another pose, was in front of, and that it lies behind now;
-    the points went deeper into it than `depth` (m), wherever they are. With `either` it may have come from behind, too.
+    """(n,) points of a surface that a rigid obstacle, `before` in another pose, was in front of, and that it lies behind now,
+    on whose way they went deeper into it than `depth` (m). With `either` it may have come from behind, too.
 
     `x`, `n`: (n, gdim) positions (m) of the points and unit normals there, before and now. Where contact is right an obstacle
-    lies in front of what it touches, however far this slides round it."""
+    lies in front of what it touches, however far this slides round it. Planes and hollows have no other side."""
+    if obstacle.curvature <= 0.0:
+        return np.zeros(len(x[0]), dtype=bool)
     start, turned = obstacle.carried(x[0], before), n[0] @ obstacle.swing(before).T
-    was, now = dot(turned, obstacle.project(start).ν), dot(n[1], obstacle.project(x[1]).ν)
-    may = (was < 0.0) & (now > BEHIND)
+    end = obstacle.project(x[1])
+    was, now = dot(turned, obstacle.project(start).ν), dot(n[1], end.ν)
+    least = np.where(end.g > 0.0, BENEATH, BEHIND)
+    may = (was < 0.0) & (now > least)
     if either:
-        may |= (was > 0.0) & (now < -BEHIND)
+        may |= (was > 0.0) & (now < -least)
     return _goes_deep(obstacle, start, x[1], depth, may)
 
 

@@ -38,7 +38,7 @@ from dolfinx_mortar_al.projection import Projection
 from dolfinx_mortar_al.reductions import any_over, max_over
 from dolfinx_mortar_al.self_target import SelfTarget
 from dolfinx_mortar_al.surface import Facets, Surface, surface_normal
-from dolfinx_mortar_al.swept import DEPTH, changed_side, depth_behind, passed_obstacle, passed_through
+from dolfinx_mortar_al.swept import DEPTH, changed_side, depth_behind, passed_through
 from dolfinx_mortar_al.targets import ContactorPoints, DeformableTarget, Place, RigidTarget, Target
 
 __all__ = ["Converged", "Unfelt"]
@@ -145,8 +145,13 @@ class _Side:
         """(nf, 1 + nodes, gdim) unit normals in the middle of each facet and at its nodes, of a surface with nodes there."""
         shape, surface = self.target.surface.shape, self.target.surface
         η = np.concatenate([shape.corners.mean(axis=0)[None], shape.nodes])
-        m = surface_normal(shape.tabulate(η, 1)[1] @ nodes[surface.facets][:, None])
-        return np.asarray(m / np.maximum(np.linalg.norm(m, axis=2, keepdims=True), 1e-300))
+        return _unit(surface_normal(shape.tabulate(η, 1)[1] @ nodes[surface.facets][:, None]))
+
+    def normals_at_nodes(self, nodes: Array) -> Array:
+        """(nodes, gdim) mean unit normals of the facets that meet at each node, of the surface with nodes there."""
+        surface, mean = self.target.surface, np.zeros_like(nodes)
+        np.add.at(mean, surface.facets, self._normals(nodes)[:, 1:] * surface.orientation[:, None, None])
+        return _unit(mean)
 
     def passed(self, x0: Array, x: Array) -> Bool:
         """(n,) which points have come through the surface's front, 𝐱₀ and 𝐱 (n, gdim)."""
@@ -160,6 +165,7 @@ class _Points:
 
     Attributes:
         x0, x, X: (n, gdim) where they were in the last converged state, are now, and are in the reference one (m).
+        n0, n: (n, gdim) unit normals of the surface there, then and now, where the target is an obstacle.
         loose: (n,) whether nothing is in contact on their facets; silent: (n,) whether nothing is or was.
         extent: (n,) of their facet; reach: (n,) how far away the next integration point may be (m).
         deep: (n,) whether they are to be apart from the other surface even where they have not passed.
@@ -169,6 +175,8 @@ class _Points:
     x0: Array
     x: Array
     X: Array
+    n0: Array
+    n: Array
     loose: Bool
     silent: Bool
     extent: Array
@@ -259,19 +267,16 @@ class Unfelt:
         facet = self._own[points.facet]
         silent, extents = self._contactor.silent[facet], self._contactor.target.extents[facet]
         no = np.zeros(len(X), dtype=bool)
-        open_ = _Points(x0, now.x, X, silent, silent, extents, np.zeros(len(X)), deep=no, beyond=no)
-        open_ = open_.take(silent & np.bool_(not known))
+        was = contactor_points(points, before.nodes)
+        every = _Points(
+            x0, now.x, X, was.normal, now.normal, silent, silent, extents, np.zeros(len(X)), deep=no, beyond=no
+        )
         nodes = self._nodes(self._contactor, self._contactor.of_nodes(spacing))
         in_contact = any_over(self._comm, closed.any())
         if isinstance(self._target, RigidTarget):
             assert isinstance(before.place, Pose)
-            found = [
-                self._at_obstacle(self._target, part, before.place)
-                for part in (open_, nodes, self._between(self._target.obstacle, spacing))
-            ]
-            if not known:
-                was = contactor_points(points, before.nodes)
-                found.append(self._turned(self._target, (was, now), X, before.place))
+            parts = every.take(no | np.bool_(not known)), nodes, self._between(self._target.obstacle, spacing)
+            found = [self._at_obstacle(self._target, part, before.place) for part in parts]
             said = self._folds((self._contactor,)) or self._findings(found)
             if in_contact:
                 ends = self._at_obstacle(self._target, self._beyond(self._contactor), before.place)
@@ -279,13 +284,13 @@ class Unfelt:
             return said
         self._take_target(at, closed, before)
         others = self._nodes(self._other, np.zeros(len(self._other.target.nodes)))
-        parts = [open_, nodes], [others]
+        own, theirs = [every.take(silent & np.bool_(not known)), nodes], [others]
         if in_contact and not self._is_of_one:
-            parts[0].append(self._beyond(self._contactor))
-            parts[1].append(self._beyond(self._other))
+            own.append(self._beyond(self._contactor))
+            theirs.append(self._beyond(self._other))
         found = [
-            self._at_surface(_Points.together(parts[0]), self._other),
-            self._at_surface(_Points.together(parts[1]), self._contactor, spacing=spacing),
+            self._at_surface(_Points.together(own), self._other),
+            self._at_surface(_Points.together(theirs), self._contactor, spacing=spacing),
         ]
         said = self._folds((self._contactor, self._other)) or self._findings([each.of(beyond=False) for each in found])
         sides = ("contactor", self._contactor), ("target", self._other)
@@ -325,13 +330,21 @@ class Unfelt:
         surface, extent = side.target.surface, side.of_nodes(side.target.extents)
         loose, silent = (side.of_nodes(~values) == 0.0 for values in (~side.closed, side.silent))
         no = np.zeros(len(silent), dtype=bool)
-        every = _Points(side.before, side.target.nodes, surface.X, loose, silent, extent, reach, deep=~no, beyond=no)
+        n0, n = self._normals(side, side.before), self._normals(side, side.target.nodes)
+        every = _Points(
+            side.before, side.target.nodes, surface.X, n0, n, loose, silent, extent, reach, deep=~no, beyond=no
+        )
         return every.take(np.arange(self._comm.rank, len(silent), self._comm.size))
+
+    def _normals(self, side: _Side, nodes: Array) -> Array:
+        """(nodes, gdim) unit normals of a surface with nodes there, where the target is an obstacle; else 0."""
+        return side.normals_at_nodes(nodes) if isinstance(self._target, RigidTarget) else np.zeros_like(nodes)
 
     def _beyond(self, side: _Side) -> _Points:
         """This rank's share of the nodes beyond a surface's ends."""
         x, X, no = side.beyond.nodes(), side.beyond.X, np.zeros(len(side.beyond.X), dtype=bool)
-        every = _Points(x, x, X, no, no, side.beyond.extent, np.ones(len(X)), deep=~no, beyond=~no)
+        n = np.zeros_like(x)
+        every = _Points(x, x, X, n, n, no, no, side.beyond.extent, np.ones(len(X)), deep=~no, beyond=~no)
         return every.take(np.arange(self._comm.rank, len(X), self._comm.size))
 
     def _between(self, obstacle: Obstacle, spacing: Array) -> _Points:
@@ -346,10 +359,15 @@ class Unfelt:
         clearance = -obstacle.project(nodes.reshape(-1, nodes.shape[2])).g.reshape(nodes.shape[:2])
         facets = facets[(clearance < target.extents[facets][:, None]).any(axis=1)]
         η = basix.create_lattice(surface.shape.cell, min(max(parts, 1), LATTICE), basix.LatticeType.equispaced, True)
-        N, own = surface.shape.tabulate(η)[0], surface.facets[facets]
-        x0, x, X = ((N @ v[own]).reshape(-1, v.shape[1]) for v in (self._contactor.before, target.nodes, surface.X))
+        (N, dN), own = surface.shape.tabulate(η, 1), surface.facets[facets]
+        ways = self._contactor.before, target.nodes
+        x0, x, X = ((N @ v[own]).reshape(-1, v.shape[1]) for v in (*ways, surface.X))
+        n0, n = (
+            _unit(surface_normal(dN @ v[own][:, None]) * surface.orientation[facets, None, None]).reshape(x.shape)
+            for v in ways
+        )
         of, every = np.repeat(facets, len(η)), np.ones(len(x), dtype=bool)
-        return _Points(x0, x, X, every, every, target.extents[of], spacing[of], deep=every, beyond=~every)
+        return _Points(x0, x, X, n0, n, every, every, target.extents[of], spacing[of], deep=every, beyond=~every)
 
     # ---------------------------------------------------------------- what is found
 
@@ -379,17 +397,12 @@ class Unfelt:
     def _at_obstacle(self, target: RigidTarget, points: _Points, before: Pose) -> _Found:
         """Points beside a rigid obstacle, which feels every integration point that is in it now."""
         at = target.obstacle.project(points.x)
-        passed = passed_obstacle(target.obstacle, before, points.x0, points.x, DEPTH * target.size)
+        ways, turns = (points.x0, points.x), (points.n0, points.n)
+        passed = changed_side(
+            target.obstacle, before, ways, turns, DEPTH * target.size, either=self._contactor.is_membrane
+        )
         depth = np.where(at.facing & (points.reach > 0.0), np.maximum(at.g, 0.0), 0.0)
-        return _found(points, passed & points.silent, depth, points.silent, points.reach, points.extent)
-
-    def _turned(self, target: RigidTarget, ways: Sequence[ContactorPoints], X: Array, before: Pose) -> _Found:
-        """Points that a step has carried to the other side of a rigid obstacle, whether that touches them there or not."""
-        x, n = [points.x for points in ways], [points.normal for points in ways]
-        depth = DEPTH * target.size
-        passed = changed_side(target.obstacle, before, x, n, depth, either=self._contactor.is_membrane)
-        no = np.zeros(len(X), dtype=bool)
-        return _Found(X, passed, np.zeros(len(X)), no, no, no)
+        return _found(points, passed, depth, points.silent, points.reach, points.extent)
 
     def _through_itself(
         self, target: SelfTarget, now: ContactorPoints, x0: Array, X: Array, free: Index, before: Place
@@ -458,6 +471,11 @@ class Unfelt:
         meaning = MISSED if is_missed else BETWEEN if is_silent else ON_AVERAGE
         meaning = IN_OBSTACLE if isinstance(self._target, RigidTarget) else meaning
         return [Finding(f"{self._name}: overlap that is not felt (facets)", deepest, place, meaning, is_missed)]
+
+
+def _unit(m: Array) -> Array:
+    """Vectors (…, gdim) brought to length one."""
+    return np.asarray(m / np.maximum(np.linalg.norm(m, axis=-1, keepdims=True), 1e-300))
 
 
 def _found(points: _Points, passed: Bool, depth: Array, silent: Bool, reach: Array, longer: Array) -> _Found:
