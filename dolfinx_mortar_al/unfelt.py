@@ -259,32 +259,27 @@ class Unfelt:
         """
         if known and isinstance(self._target, SelfTarget):
             return []
-        x0, X = points.interpolate(before.nodes), points.interpolate(self._facets.X)
+        was, X = contactor_points(points, before.nodes), points.interpolate(self._facets.X)
         if isinstance(self._target, SelfTarget):
-            found = [self._through_itself(self._target, now, x0, X, np.flatnonzero(~closed), before.place)]
+            found = [self._through_itself(self._target, now, was.x, X, np.flatnonzero(~closed), before.place)]
             return self._findings(found)
         spacing = self._take_contactor(points, closed, before)
         facet = self._own[points.facet]
         silent, extents = self._contactor.silent[facet], self._contactor.target.extents[facet]
         no = np.zeros(len(X), dtype=bool)
-        was = contactor_points(points, before.nodes)
         every = _Points(
-            x0, now.x, X, was.normal, now.normal, silent, silent, extents, np.zeros(len(X)), deep=no, beyond=no
+            was.x, now.x, X, was.normal, now.normal, silent, silent, extents, np.zeros(len(X)), deep=no, beyond=no
         )
+        every = every.take(~no & np.bool_(not known))
         nodes = self._nodes(self._contactor, self._contactor.of_nodes(spacing))
         in_contact = any_over(self._comm, closed.any())
         if isinstance(self._target, RigidTarget):
             assert isinstance(before.place, Pose)
-            parts = every.take(no | np.bool_(not known)), nodes, self._between(self._target.obstacle, spacing)
-            found = [self._at_obstacle(self._target, part, before.place) for part in parts]
-            said = self._folds((self._contactor,)) or self._findings(found)
-            if in_contact:
-                ends = self._at_obstacle(self._target, self._beyond(self._contactor), before.place)
-                said = said + self._unnamed("contactor", self._contactor, ends)
-            return said
+            parts = [every, nodes, self._between(self._target.obstacle, spacing)]
+            return self._look_at_obstacle(self._target, parts, before.place, in_contact)
         self._take_target(at, closed, before)
         others = self._nodes(self._other, np.zeros(len(self._other.target.nodes)))
-        own, theirs = [every.take(silent & np.bool_(not known)), nodes], [others]
+        own, theirs = [every.take(every.silent), nodes], [others]
         if in_contact and not self._is_of_one:
             own.append(self._beyond(self._contactor))
             theirs.append(self._beyond(self._other))
@@ -299,6 +294,17 @@ class Unfelt:
         if said or in_contact:
             return said
         return self._elsewhere([(nodes, self._other), (others, self._contactor)])
+
+    def _look_at_obstacle(
+        self, target: RigidTarget, parts: Sequence[_Points], before: Pose, in_contact: bool
+    ) -> list[Finding]:
+        """What is found of points and nodes beside an obstacle (collective)."""
+        found = [self._at_obstacle(target, part, before) for part in parts]
+        said = self._folds((self._contactor,)) or self._findings(found)
+        if in_contact:
+            ends = self._at_obstacle(target, self._beyond(self._contactor), before)
+            said = said + self._unnamed("contactor", self._contactor, ends)
+        return said
 
     # ---------------------------------------------------------------- what is known of both sides
 
