@@ -30,9 +30,7 @@ NOT_FINITE = -4  # a reason that PETSc has renamed
 
 FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane's stiffness in its own plane
 LEAST_TENSION = 1e-12  # so much stays on what no force has met yet, lest the Jacobian be singular
-LAW_TOLERANCE = (
-    1e-6  # on λ̂_N of the wrong sign, as a share of the pair's largest pressure, or where none presses of all's
-)
+LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, of the pair's largest pressure, or of all pairs' if it has none
 TRAPPED = 4  # times that a step is halved lest cells be inverted: half of the one before is taken then, once in a solve
 LONGEST = 4.0  # target facets that a closed point may move over the target in one iteration
 UNSUITABLE = (56, 60, 62, 86, 92)  # PETSc's error codes where a solver does not take the matrix, or is not known
