@@ -161,7 +161,7 @@ class ContactPair(PairFindings):
         if degree is not None and degree < 2 * order:
             raise ValueError(
                 f"{self.name}: quadrature_degree = {degree} has too few points to determine multipliers of order "
-                f"{order}; take at least {2 * order}"
+                f"{order}; take at least {2 * order}{', or multiplier_order=1' if order > 1 else ''}"
             )
         count = self.facets.size
         if degree is not None and not self.is_segmented:

@@ -23,7 +23,6 @@ __all__ = ["Obstacle", "Pose", "RigidCylinder", "RigidPlane", "RigidSphere"]
 Array = NDArray[np.float64]
 
 ONE_ANGLE = "needs one finite angle in rad in two dimensions,"
-OPPOSITE = -0.99  # cosine of directions that no shortest rotation is looked for between
 NO_DIRECTION = 1e-12  # distance to a centre or axis, in radii, below which no closest point is defined
 
 
@@ -144,7 +143,7 @@ class Obstacle(ABC):
         return np.asarray(self.pivot + pose.translation + (Y - self.pivot) @ pose.rotation.T)
 
     def swing(self, before: Pose) -> Array:
-        """The rotation (gdim, gdim) of its surface since another pose, without what turns it in itself."""
+        """The rotation (gdim, gdim) of its surface since another pose; of what is round without turns in itself."""
         return self._pose.rotation @ before.rotation.T
 
     def carried(self, x: Array, before: Pose) -> Array:
@@ -196,9 +195,6 @@ class RigidPlane(Obstacle):
     def __init__(self, point: ArrayLike, normal: ArrayLike) -> None:
         super().__init__(_vector("point", point))
         self.normal = _unit("normal", normal, self.gdim)
-
-    def swing(self, before: Pose) -> Array:
-        return _shortest(super().swing(before), before.rotation @ self.normal)
 
     def _nearest(self, r: Array) -> _Nearest:
         ν = np.repeat(self.normal[None], len(r), axis=0)
@@ -269,7 +265,10 @@ class RigidCylinder(_Round):
         self.axis = _unit("axis", axis, 3)
 
     def swing(self, before: Pose) -> Array:
-        return _shortest(super().swing(before), before.rotation @ self.axis)
+        axis, end = before.rotation @ self.axis, self._pose.rotation @ self.axis
+        end *= np.copysign(1.0, axis @ end)  # either end of the axis is as good
+        across = np.outer(end, axis) - np.outer(axis, end)  # times the angle's sine, about axis × end
+        return np.asarray(np.eye(3) + across + across @ across / (1.0 + axis @ end))
 
     def _nearest(self, r: Array) -> _Nearest:
         along = (r @ self.axis)[:, None] * self.axis
@@ -278,17 +277,6 @@ class RigidCylinder(_Round):
         a = np.stack([np.cross(self.axis, side * e), np.broadcast_to(self.axis, e.shape)], axis=1)
         κ = np.tile([-side / self.radius, 0.0], (len(r), 1))
         return _Nearest(along + self.radius * e, side * e, a, κ, defined)
-
-
-def _shortest(turn: Array, axis: Array) -> Array:
-    """The rotation (gdim, gdim) by the least angle that takes a unit vector `axis` (gdim,) to where the rotation `turn` does;
-    `turn` itself in the plane, and where the vector is turned round."""
-    end = turn @ axis
-    cosine = axis @ end
-    if len(axis) == 2 or cosine < OPPOSITE:
-        return turn
-    across = np.outer(end, axis) - np.outer(axis, end)  # times the angle's sine, about axis × end
-    return np.asarray(np.eye(3) + across + across @ across / (1.0 + cosine))
 
 
 def _direction(r: Array, otherwise: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:
