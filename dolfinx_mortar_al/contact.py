@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+import numpy as np
 from dolfinx import fem
 
 from dolfinx_mortar_al.obstacles import Obstacle
+from dolfinx_mortar_al.reductions import sum_over
 from dolfinx_mortar_al.surface import Surface
 from dolfinx_mortar_al.validation import constant_value, number, varies, whole
 
-__all__ = ["Contact", "coefficient"]
+__all__ = ["Contact", "check_surfaces", "coefficient"]
 
 
 @dataclass(frozen=True)
@@ -128,3 +131,49 @@ def coefficient(μ: Any) -> float:
             f"friction = {μ}: Coulomb's coefficient is one number on a contactor; give each of its parts a tag and a Contact"
         )
     return number("friction", μ, least=0.0, must="Coulomb's coefficient must be")
+
+
+def check_surfaces(contacts: Sequence[Contact]) -> None:
+    """No facet may be contactor and target of itself, nor in contact with another twice, in one direction or both: the
+    multipliers of such a pair are not unique (collective).
+
+    Raises:
+        ValueError: on every rank.
+    """
+    own = [(c.contactor.owned_facets(), _owned(_other(c))) for c in contacts]
+
+    def share(a: Surface, b: Any, of_a: Any, of_b: Any) -> bool:
+        if not isinstance(b, Surface):
+            return False
+        return a.mesh is b.mesh and sum_over(a.mesh.comm, len(np.intersect1d(of_a, of_b))) > 0
+
+    for i, (first, (contactor, target)) in enumerate(zip(contacts, own, strict=True)):
+        a, b = first.contactor, _other(first)
+        if first.target is not None and share(a, b, contactor, target):
+            raise ValueError(
+                f"contactor (tag {a.tag}) and target ({first.target_name}) have facets in common: a pair needs two surfaces"
+            )
+        for second, (contactor2, target2) in zip(contacts[:i], own, strict=False):
+            c, d = second.contactor, _other(second)
+            same_target = (
+                b is d if not isinstance(d, Surface) else isinstance(b, Surface) and share(d, b, target2, target)
+            )
+            if share(a, c, contactor, contactor2) and same_target:
+                raise ValueError(
+                    f"contacts: the pair of contactor tag {a.tag} and target {first.target_name} is there twice, at least in "
+                    "part: drop one"
+                )
+            if isinstance(b, Surface) and share(a, d, contactor, target2) and share(b, c, target, contactor2):
+                raise ValueError(
+                    f"contacts: the surfaces of tags {a.tag} and {b.tag} are paired in both directions: drop one of the two; "
+                    "either side can be the contactor"
+                )
+
+
+def _other(contact: Contact) -> Any:
+    """What the contactor may touch."""
+    return contact.contactor if contact.target is None else contact.target
+
+
+def _owned(target: Any) -> Any:
+    return target.owned_facets() if isinstance(target, Surface) else None

@@ -18,7 +18,7 @@ from dolfinx.mesh import Mesh
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.checkpoint import Checkpoint
-from dolfinx_mortar_al.contact_fields import ContactorFunctions
+from dolfinx_mortar_al.contactor_functions import ContactorFunctions
 from dolfinx_mortar_al.picture import picture
 from dolfinx_mortar_al.problem import ContactProblem, check_problem
 from dolfinx_mortar_al.ranks import agreed, on_root, together
@@ -176,7 +176,7 @@ def _number(name: str, value: Any) -> float:
 
 class ParaView:
     """ParaView series (.bp): the displacement on the bodies, and on each pair's contactor, a surface mesh of its own, what
-    :class:`~dolfinx_mortar_al.contact_fields.ContactorFunctions` holds: displacement, gap, pressure, tangential
+    :class:`~dolfinx_mortar_al.contactor_functions.ContactorFunctions` holds: displacement, gap, pressure, tangential
     traction, slip, status and multiplier. *Warp By Vector* with "displacement" brings either to the present positions.
 
     Files are ``displacement.bp`` (``displacement_0.bp`` … of several meshes) and ``contactor_<name of the pair>.bp``.

@@ -19,8 +19,8 @@ from dolfinx import fem, mesh
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al import rendering
-from dolfinx_mortar_al.contact_fields import ContactorFunctions
 from dolfinx_mortar_al.contact_pair import ContactPair
+from dolfinx_mortar_al.contactor_functions import ContactorFunctions
 from dolfinx_mortar_al.problem import ContactProblem, check_problem
 from dolfinx_mortar_al.ranks import agreed, on_root
 from dolfinx_mortar_al.surface import Facets, ShapeFunctions, Surface

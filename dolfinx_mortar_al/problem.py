@@ -22,7 +22,7 @@ from petsc4py import PETSc
 
 from dolfinx_mortar_al.bodies import SLACK, Bodies
 from dolfinx_mortar_al.body import Body
-from dolfinx_mortar_al.contact import Contact
+from dolfinx_mortar_al.contact import Contact, check_surfaces
 from dolfinx_mortar_al.contact_motions import ContactMotions
 from dolfinx_mortar_al.contact_pair import ContactPair
 from dolfinx_mortar_al.given import Given
@@ -35,7 +35,6 @@ from dolfinx_mortar_al.pieces import Piece
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.stopwatch import Stopwatch
-from dolfinx_mortar_al.surface import check_surfaces
 from dolfinx_mortar_al.ties import Bearing, Ties
 from dolfinx_mortar_al.validation import check_names, joint_thickness, listed
 

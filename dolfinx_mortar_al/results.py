@@ -72,7 +72,25 @@ class PairResults:
 
     def fields(self) -> ContactFields:
         """Gap, pressure, traction, slip and status at this rank's integration points."""
-        return ContactFields.of(self)
+        state, faced, at = self.state, self.kinematics.faced, self.at
+        closed = (state.status != OPEN)[:, None]
+        friction = state.p[:, None] * at.ν - state.t  # f_T of eq. (1), which acts on the target
+        slip = np.zeros_like(friction)
+        if state.λT_hat is not None:
+            # what the law takes for sliding: λ̂_T = f_T + ε_T s
+            slip = np.where(closed, (state.λT_hat - friction) / self.epsilon.tangential, 0.0)
+            slip[state.status == STICK] = 0.0
+        return ContactFields(
+            X=self.points(),
+            x=self.positions(),
+            area=self.j.copy(),
+            gap=np.where(faced.facing, -faced.g, np.nan),
+            pressure=state.p.copy(),
+            traction=np.where(closed, self.kinematics.traction(state), 0.0),
+            tangential_traction=np.where(closed, -friction, 0.0),
+            slip=slip,
+            status=state.status.copy(),
+        )
 
     def fields_on_root(self) -> ContactFields | None:
         """The same at all integration points, in order of X, on rank 0; None on the others (collective)."""

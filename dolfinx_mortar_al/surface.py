@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import basix
 import numpy as np
@@ -23,10 +23,7 @@ from dolfinx_mortar_al.pieces import connected
 from dolfinx_mortar_al.reductions import max_over, sum_over
 from dolfinx_mortar_al.validation import are_tags_of, vector, whole
 
-if TYPE_CHECKING:
-    from dolfinx_mortar_al.contact import Contact
-
-__all__ = ["SHARP", "Facets", "GatheredFacets", "ShapeFunctions", "Surface", "check_surfaces", "surface_normal"]
+__all__ = ["SHARP", "Facets", "GatheredFacets", "ShapeFunctions", "Surface", "surface_normal"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -487,49 +484,3 @@ def _areas(shape: ShapeFunctions, X: Array) -> Array:
     points, weights = shape.quadrature(2 * shape.order)
     a = np.einsum("qak,fki->fqai", shape.tabulate(points, 1)[1], X)
     return np.asarray(np.linalg.norm(surface_normal(a), axis=2) @ weights)
-
-
-def check_surfaces(contacts: Sequence[Contact]) -> None:
-    """No facet may be contactor and target of itself, nor in contact with another twice, in one direction or both: the
-    multipliers of such a pair are not unique (collective).
-
-    Raises:
-        ValueError: on every rank.
-    """
-    own = [(c.contactor.owned_facets(), _owned(_other(c))) for c in contacts]
-
-    def share(a: Surface, b: Any, of_a: Any, of_b: Any) -> bool:
-        if not isinstance(b, Surface):
-            return False
-        return a.mesh is b.mesh and sum_over(a.mesh.comm, len(np.intersect1d(of_a, of_b))) > 0
-
-    for i, (first, (contactor, target)) in enumerate(zip(contacts, own, strict=True)):
-        a, b = first.contactor, _other(first)
-        if first.target is not None and share(a, b, contactor, target):
-            raise ValueError(
-                f"contactor (tag {a.tag}) and target ({first.target_name}) have facets in common: a pair needs two surfaces"
-            )
-        for second, (contactor2, target2) in zip(contacts[:i], own, strict=False):
-            c, d = second.contactor, _other(second)
-            same_target = (
-                b is d if not isinstance(d, Surface) else isinstance(b, Surface) and share(d, b, target2, target)
-            )
-            if share(a, c, contactor, contactor2) and same_target:
-                raise ValueError(
-                    f"contacts: the pair of contactor tag {a.tag} and target {first.target_name} is there twice, at least in "
-                    "part: drop one"
-                )
-            if isinstance(b, Surface) and share(a, d, contactor, target2) and share(b, c, target, contactor2):
-                raise ValueError(
-                    f"contacts: the surfaces of tags {a.tag} and {b.tag} are paired in both directions: drop one of the two; "
-                    "either side can be the contactor"
-                )
-
-
-def _other(contact: Contact) -> Any:
-    """What the contactor may touch."""
-    return contact.contactor if contact.target is None else contact.target
-
-
-def _owned(target: Any) -> Any:
-    return target.owned_facets() if isinstance(target, Surface) else None

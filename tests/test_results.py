@@ -24,7 +24,7 @@ from dolfinx_mortar_al import (
     quasistatic,
     reaction,
 )
-from dolfinx_mortar_al.contact_fields import ContactorFunctions
+from dolfinx_mortar_al.contactor_functions import ContactorFunctions
 from dolfinx_mortar_al.law import OPEN, SLIP, STICK
 from dolfinx_mortar_al.picture import _contactors
 from dolfinx_mortar_al.reductions import max_over
