@@ -38,7 +38,7 @@ from dolfinx_mortar_al.step_level import StepLevel
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.surface import Facets, GatheredFacets, Surface
 from dolfinx_mortar_al.target_end import TargetEnd
-from dolfinx_mortar_al.targets import DeformableTarget, RigidTarget, Target, target_of
+from dolfinx_mortar_al.targets import DeformableTarget, Place, RigidTarget, Target, target_of
 from dolfinx_mortar_al.unfelt import Converged, Unfelt
 from dolfinx_mortar_al.validation import constant_value
 from dolfinx_mortar_al.zone_width import ZoneWidth
@@ -239,7 +239,7 @@ class ContactPair(PairFindings):
             fixed[facet, node] &= (near[:, None] & given) | planes
         return fixed if self.friction else np.asarray(fixed.all(axis=2, keepdims=True))
 
-    def _leave_out_redundant(self, contactor: Array, place: Array | Pose) -> bool:
+    def _leave_out_redundant(self, contactor: Array, place: Place) -> bool:
         """In statics, let go of the multiplier's nodes that have nothing to enforce with the bodies' nodes at `contactor` and
         `place`, and take those up that have; whether that is a change (collective). Time steps need one space of
         multipliers."""
@@ -794,6 +794,8 @@ class ContactPair(PairFindings):
         arrays |= {name: getattr(before, name).astype(float) for name in ("nodes", "closed", "faced")}
         if isinstance(before.place, np.ndarray):
             arrays["target"] = before.place.copy()
+        else:
+            arrays |= {"translation_before": before.place.translation, "rotation_before": before.place.rotation}
         if isinstance(self.target, SelfTarget):
             arrays["role"] = self.target.role.copy()
         if isinstance(self.target, RigidTarget):
@@ -809,7 +811,9 @@ class ContactPair(PairFindings):
             self.target.role = saved["role"].astype(np.int64)
         if isinstance(self.target, RigidTarget):
             self.target.obstacle.pose = Pose(saved["translation"], saved["rotation"])
-        place = saved["target"].copy() if "target" in saved else self.target.place
+            place: Place = Pose(saved["translation_before"], saved["rotation_before"])
+        else:
+            place = saved["target"].copy()
         was = (saved[name].astype(bool) for name in ("closed", "faced"))
         self._converged = Converged(saved["nodes"].copy(), place, *was)
         self.target.refresh()

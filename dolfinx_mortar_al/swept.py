@@ -24,6 +24,8 @@ OPPOSITE = -0.7  # cosine of the normals where a point has come in and out, of t
 AROUND = 0.25  # of a piece, beside which it may hold the closest point of what is behind a hollow
 BEHIND = 0.1  # cosine of the normals of a surface and of an obstacle, from which on that lies behind the surface,
 BENEATH = 0.5  # and where the surface lies in it: beside a corner that is pressed in they are at an angle
+SIDEWAYS = -0.3  # and where a membrane lies deep in it: its rim stands so around what has gone half through it,
+DEEP_IN = 0.25  # of the obstacle's radius
 TOUCHES = 1e-3  # of the depth: so near a path comes to what lies that deep
 MAX_ITERATIONS = 100  # along a path; one that comes nearer that slowly grazes
 
@@ -159,10 +161,11 @@ def passed_obstacle(obstacle: Obstacle, before: Pose, x0: Array, x1: Array, dept
 
 
 def changed_side(
-    obstacle: Obstacle, before: Pose, x: Sequence[Array], n: Sequence[Array], depth: float, either: bool
+    obstacle: Obstacle, before: Pose, x: Sequence[Array], n: Sequence[Array], depth: float, is_membrane: bool
 ) -> Bool:
     """(n,) points of a surface that a rigid obstacle, `before` in another pose, was in front of, and that it lies behind now,
-    on whose way they went deeper into it than `depth` (m). With `either` it may have come from behind, too.
+    on whose way they went deeper into it than `depth` (m). A membrane it may have met from behind, too, and has gone through
+    where it stands on end deep in the obstacle; what is in its very middle has passed as well.
 
     `x`, `n`: (n, gdim) positions (m) of the points and unit normals there, before and now. Where contact is right an obstacle
     lies in front of what it touches, however far this slides round it. Planes and hollows have no other side."""
@@ -170,12 +173,13 @@ def changed_side(
         return np.zeros(len(x[0]), dtype=bool)
     start, turned = obstacle.carried(x[0], before), n[0] @ obstacle.swing(before).T
     end = obstacle.project(x[1])
-    was, now = dot(turned, obstacle.project(start).ν), dot(n[1], end.ν)
+    was, now = dot(turned, obstacle.project(start).ν), np.where(end.facing, dot(n[1], end.ν), 1.0)
     least = np.where(end.g > 0.0, BENEATH, BEHIND)
-    may = (was < 0.0) & (now > least)
-    if either:
-        may |= (was > 0.0) & (now < -least)
-    return _goes_deep(obstacle, start, x[1], depth, may)
+    if is_membrane:
+        now = np.where((was > 0.0) & end.facing, -now, now)
+        was = -np.abs(was)
+        least[end.g > DEEP_IN / obstacle.curvature] = SIDEWAYS
+    return _goes_deep(obstacle, start, x[1], depth, (was < np.minimum(least, 0.0)) & (now > least))
 
 
 def _goes_deep(obstacle: Obstacle, start: Array, end: Array, depth: float, may: Bool) -> Bool:

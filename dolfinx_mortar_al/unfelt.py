@@ -404,10 +404,9 @@ class Unfelt:
         """Points beside a rigid obstacle, which feels every integration point that is in it now."""
         at = target.obstacle.project(points.x)
         ways, turns = (points.x0, points.x), (points.n0, points.n)
-        passed = changed_side(
-            target.obstacle, before, ways, turns, DEPTH * target.size, either=self._contactor.is_membrane
-        )
-        depth = np.where(at.facing & (points.reach > 0.0), np.maximum(at.g, 0.0), 0.0)
+        is_membrane = self._contactor.is_membrane
+        passed = changed_side(target.obstacle, before, ways, turns, DEPTH * target.size, is_membrane)
+        depth = np.where(points.reach > 0.0, np.maximum(at.g, 0.0), 0.0)
         return _found(points, passed, depth, points.silent, points.reach, points.extent)
 
     def _through_itself(
