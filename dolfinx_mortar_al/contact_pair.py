@@ -76,6 +76,8 @@ class ContactPair(PairFindings):
         self.comm, self.gdim = bodies.comm, bodies.gdim
         #: whether there is friction, or may be
         self.friction = friction = isinstance(contact.friction, fem.Constant) or contact.friction > 0
+        #: Coulomb's coefficient as the pair is made
+        self.friction_at_start = self.friction_coefficient
         k = bodies.index(contact.contactor.mesh)
         self._body1 = bodies.bodies[k]
         self.facets = Facets.of(contact.contactor, self._body1.space)

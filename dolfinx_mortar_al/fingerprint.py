@@ -2,7 +2,7 @@
 
 A state belongs to the problem it was computed with. Two problems with the same fingerprint take the same steps from the same
 state; where fingerprints differ, the labels say in what. Values that change during a run are left out: loads given as
-Dirichlet values, poses of obstacles, and Constants after the problem was made.
+Dirichlet values, poses of obstacles, and Constants, that of a friction too, after the problem was made.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def _of_body(body: BodyForms, steps: Sequence[Any]) -> Fingerprint:
 def _of_pair(pair: ContactPair) -> Fingerprint:
     contact, target = pair.contact, pair.contact.target
     said = {
-        "friction": repr(pair.friction_coefficient),
+        "friction": repr(pair.friction_at_start),
         "epsilon": f"{pair.contact.epsilon_normal} and {pair.contact.epsilon_tangential}, {pair.stiffness:.9g} by default",
         "multiplier": f"order {pair.multiplier.shape.order}, {pair.multiplier.components} components",
         "projection": contact.projection,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 #: what can be a load
 Movable = fem.Constant | fem.Function | Callable[[float], None]
 
-MOVED = "moved "  # before the label, in a snapshot
+MOVED, CALLED = "moved ", "called "  # before the label, in a snapshot
 PARALLEL = 1e-12  # one minus the squared cosine between two ways that count as one line
 
 
@@ -46,7 +46,7 @@ class Load(ABC):
 
     Attributes:
         source: the Constant, Function or function.
-        label: its kind or name, without a dot.
+        label: its kind or name, without a dot; among a problem's loads with a number.
         moved: (components,) by how much the last step has moved it; None if it has not.
     """
 
@@ -159,11 +159,11 @@ class _FunctionLoad(Load):
 
 
 class _CalledLoad(Load):
-    """A function of one number; 0 before it was called."""
+    """A function of one number; 0 before it was called. `called`: such loads that were, the last one at the end."""
 
-    def __init__(self, source: Callable[[float], None]) -> None:
+    def __init__(self, source: Callable[[float], None], called: list[_CalledLoad]) -> None:
         check_callable("load", source, "the load")
-        self.source, self._value = source, 0.0
+        self.source, self._value, self._called = source, 0.0, called
         self.label = str(getattr(source, "__name__", type(source).__name__)).replace(".", "_")
 
     def is_of(self, source: Any) -> bool:
@@ -174,23 +174,37 @@ class _CalledLoad(Load):
         return np.array([self._value])
 
     def set(self, value: Array) -> None:
-        self._value = float(value[0])
+        self.remember(value)
+        if self in self._called:
+            self._called.remove(self)
+        self._called.append(self)
         self.source(self._value)
+
+    def remember(self, value: Array) -> None:
+        """Have a value (1,) that what depends on it has already."""
+        self._value = float(value[0])
 
     def end(self, name: str, to: Any) -> Array:
         return np.array([number(name, to)])
 
 
 class Loads:
-    """All loads that marches have moved, in the order in which they came: a member of a problem's state."""
+    """All loads that marches have moved, in the order in which they came: a member of a problem's state.
+
+    A function may set what another load is, too: a Function that is pressed along and then turned by a function. So where
+    values are brought back functions are called in the order in which they were, and Constants and Functions come last; one
+    that had not been called is not."""
 
     def __init__(self) -> None:
         self._loads: dict[str, Load] = {}  # by label, numbered among those of one
         self._count: Counter[str] = Counter()
+        self._called: list[_CalledLoad] = []
         self._waiting: dict[str, Array] = {}  # restored before their loads came
+        self._due: dict[_CalledLoad, float] = {}  # that have come since and are to be called, in this order
 
     def of(self, source: Any, name: str = "load") -> Load:
-        """The load of a Constant, Function or function; one that is new gets the value that a checkpoint had of it.
+        """The load of a Constant, Function or function; one that is new has the value that a checkpoint had of it, and
+        :meth:`settle` is to follow.
 
         Raises:
             ValueError: if it is none of them.
@@ -207,20 +221,30 @@ class Loads:
         elif isinstance(source, fem.Function):
             new = _FunctionLoad(source)
         elif callable(source):
-            new = _CalledLoad(source)
+            new = _CalledLoad(source, self._called)
         else:
             raise ValueError(
                 f"{name}: {type(source).__name__} is no load; pass a Constant, a Function of prescribed values, or a "
                 "function that is called with one number"
             )
-        label = f"{new.label}_{self._count[new.label]}"
-        self._count[new.label] += 1
-        self._loads[label] = new
-        saved = self._waiting.pop(label, None)
+        kind, new.label = new.label, f"{new.label}_{self._count[new.label]}"
+        self._count[kind] += 1
+        self._loads[new.label] = new
+        new.moved = self._waiting.pop(MOVED + new.label, None)
+        saved, turn = (self._waiting.pop(before + new.label, None) for before in ("", CALLED))
         if saved is not None and saved.shape == new.value.shape:
-            new.set(saved)
-        new.moved = self._waiting.pop(MOVED + label, None)
+            if not isinstance(new, _CalledLoad):
+                new.set(saved)
+            elif turn is not None:
+                new.remember(saved)
+                self._due[new] = float(turn[0])
         return new
+
+    def settle(self) -> None:
+        """Let functions that have come with a value set what depends on it."""
+        due, self._due = sorted(self._due, key=self._due.__getitem__), {}
+        if due:
+            self._set({label: load.value for label, load in self._loads.items()}, due)
 
     def note(self, load: Load | None, way: Array | None = None) -> None:
         """Note that the last step has moved this load by `way` (components,) and no other; None where it says nothing of the
@@ -229,14 +253,30 @@ class Loads:
             one.moved = way if one is load else None
 
     def snapshot(self) -> dict[str, Array]:
-        """The value of each load on this rank, and by how much it moved in the last step."""
-        moved = {f"{MOVED}{label}": one.moved for label, one in self._loads.items() if one.moved is not None}
-        return {label: load.value for label, load in self._loads.items()} | moved
+        """The value of each load on this rank, by how much it moved in the last step, and functions' turns."""
+        values = {label: load.value for label, load in self._loads.items()}
+        moved = {MOVED + label: load.moved for label, load in self._loads.items() if load.moved is not None}
+        return values | moved | {CALLED + load.label: np.array([float(k)]) for k, load in enumerate(self._called)}
 
     def restore(self, saved: dict[str, Array]) -> None:
         """Back to a snapshot; the values of loads that no march has moved yet wait for them."""
-        self._waiting |= {k: v for k, v in saved.items() if k.removeprefix(MOVED) not in self._loads}
+        self._waiting |= {
+            key: v for key, v in saved.items() if key.removeprefix(MOVED).removeprefix(CALLED) not in self._loads
+        }
         for label, load in self._loads.items():
             load.moved = saved.get(MOVED + label)
-            if label in saved and not np.array_equal(load.value, saved[label]):
-                load.set(saved[label])
+        known = [one for one in self._loads.values() if isinstance(one, _CalledLoad) and one.label in saved]
+        changed = [one for one in known if not np.array_equal(one.value, saved[one.label])]
+        turn = {one: float(saved[CALLED + one.label][0]) for one in known if CALLED + one.label in saved}
+        called = sorted(turn, key=turn.__getitem__)
+        undone = [one for one in changed if one not in turn]  # called since for the first time
+        self._set(saved, [*undone, *called] if changed else [])
+        self._called[:] = called
+
+    def _set(self, values: dict[str, Array], functions: Sequence[_CalledLoad]) -> None:
+        """Call these in turn, then give Constants and Functions their values (components,), by label."""
+        for one in functions:
+            one.set(values[one.label])
+        for label, load in self._loads.items():
+            if not isinstance(load, _CalledLoad) and label in values and not np.array_equal(load.value, values[label]):
+                load.set(values[label])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import floor
 from time import perf_counter
@@ -246,7 +246,7 @@ def follow(
         raise ValueError("first = 0: the path needs a first load increment, which gives it its direction")
     check_problem(problem)
     validation.check_still(problem.motions)
-    moved, event = _load_of(problem, load), Event(problem.comm, until)
+    (moved,), event = _loads_of(problem, {"load": load}), Event(problem.comm, until)
     if not moved.is_number:
         raise ValueError(f"load: {type(load).__name__} of several components; the unknown load of a path is one number")
     begin = None if start is None else validation.number("start", start)
@@ -284,11 +284,15 @@ def _follow(control: _PathControl, start: float | None, progress: bool) -> Gener
 # ---------------------------------------------------------------- legs
 
 
-def _load_of(problem: ContactProblem, source: Any, name: str = "load") -> Load:
-    """The problem's load of that source, which may not be a displacement that is solved for."""
-    if any(source is body.u for body in problem.bodies.bodies):
-        raise ValueError(f"{name}: Function {source.name!r} is the displacement; pass one of prescribed values")
-    return problem.loads.of(source, name)
+def _loads_of(problem: ContactProblem, sources: Mapping[str, Any]) -> list[Load]:
+    """The problem's loads of sources, by the arguments' names, which may not be displacements that are solved for."""
+    loads = []
+    for name, source in sources.items():
+        if any(source is body.u for body in problem.bodies.bodies):
+            raise ValueError(f"{name}: Function {source.name!r} is the displacement; pass one of prescribed values")
+        loads.append(problem.loads.of(source, name))
+    problem.loads.settle()
+    return loads
 
 
 class _Leg:
@@ -335,9 +339,9 @@ def _legs(problem: ContactProblem, stages: Sequence[Stage], start: float | None 
     stand where the first `done` stages have left them."""
     legs: list[_Leg] = []
     agreed(problem.comm, "load: how many stages", len(stages))
-    for k, stage in enumerate(stages):
-        where = f"stages[{k}]: " if len(stages) > 1 else ""
-        load = _load_of(problem, stage.load, f"{where}load")
+    names = [f"stages[{k}]: " if len(stages) > 1 else "" for k in range(len(stages))]
+    loads = _loads_of(problem, {f"{name}load": stage.load for name, stage in zip(names, stages, strict=True)})
+    for k, (stage, load, where) in enumerate(zip(stages, loads, names, strict=True)):
         increments = validation.whole(f"{where}increments", stage.increments, least=1)
         leg = _Leg(problem, load, load.end(f"{where}to", stage.to), increments, Event(problem.comm, stage.until))
         if start is not None:

@@ -46,7 +46,8 @@ class Block:
         held = fem.locate_dofs_topological(V, 1, top)
         bc = fem.dirichletbc(self.top, held) if field else fem.dirichletbc(self.top, held, V)
         F = materials.neo_hookean(E=1e3, nu=0.3).virtual_work(self.u)
-        contact = Contact(Surface(domain, tags, 1), obstacles.RigidPlane([0, 0], [0, 1]), friction=MU)
+        self.μ = fem.Constant(domain, MU)
+        contact = Contact(Surface(domain, tags, 1), obstacles.RigidPlane([0, 0], [0, 1]), friction=self.μ)
         self.problem = ContactProblem(F, self.u, bcs=[bc], contacts=[contact])
 
     def force(self):
@@ -177,6 +178,9 @@ def test_a_march_goes_on_from_a_checkpoint_within_a_stage(shared_path):
         ([("press", DEPTH, 2), ("drag", WAY, 4)], 4),  # within the second one, which moves another load
         ([("press", DEPTH / 2, 2), ("press", DEPTH, 2)], 2),
         ([("top", PRESSED, 2), ("drag", WAY, 4)], 2),
+        ([("top", PRESSED, 4), ("over", WAY, 4)], 1),  # `over` sets all of `top`:
+        ([("top", PRESSED, 2), ("over", WAY, 4), ("top", (0.0, -DEPTH / 2), 4)], 8),  # not before, nor after its turn
+        ([("top", DRAGGED, 2), ("μ", MU / 2, 2), ("top", (2 * WAY, -DEPTH), 2)], 3),
     ],
 )
 def test_a_march_goes_on_from_a_checkpoint_after_a_stage(shared_path, stages, rows):
@@ -191,7 +195,10 @@ def test_a_march_goes_on_from_a_checkpoint_after_a_stage(shared_path, stages, ro
         def drag(way):
             block.top.value[0] = way
 
-        loads = {"press": press, "drag": drag, "top": block.top}
+        def over(way):
+            block.top.value[:] = way, -DEPTH
+
+        loads = {"press": press, "drag": drag, "over": over, "top": block.top, "μ": block.μ}
         folder = shared_path / ("cut" if rows else "whole")
         kept = Checkpoint(folder, block.problem)
         saved = kept.load()
