@@ -240,6 +240,8 @@ def _load(item: Any, name: str, u: fem.Function, width: Any) -> Any:
     """∫ width 𝐟·w over a measure, or a form as it is."""
     if isinstance(item, ufl.Form):
         return item
+    if isinstance(item, tuple) and any(isinstance(part, ufl.Form) for part in item):
+        raise ValueError(f"{name}: a form beside a measure; a form has its own: pass it alone")
     force, measure = _on_measure(item, name, "force", ("cell", "exterior_facet"))
     d = len(u)
     if isinstance(force, list | tuple) and any(isinstance(part, Expr) for part in force):

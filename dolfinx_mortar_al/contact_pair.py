@@ -432,8 +432,15 @@ class ContactPair(PairFindings):
         if facing and sum_over(comm, int((closest.facing & same_way).sum())) == facing:
             raise ValueError(
                 f"{self.name}: the target ({self.contact.target_name}) faces away from the contactor "
-                f"(tag {self.contact.contactor.tag}) everywhere: pass the side of the body that faces it"
+                f"(tag {self.contact.contactor.tag}) everywhere: {self._other_side}"
             )
+
+    @property
+    def _other_side(self) -> str:
+        """What to do where the target faces away from the contactor."""
+        if isinstance(self.target, RigidTarget):
+            return "if it is around the body pass inside=True, or turn its normal round"
+        return "pass the side of the body that faces it"
 
     def check_behind(self) -> None:
         """Refuse a contactor whose body lies behind the target altogether (collective): it has gone through, or the target's

@@ -58,14 +58,16 @@ BY_OVERLAP = (
 )
 BY_NORMALS = (
     "a corner or a rounded edge of the contactor with few facets rests on a smoother target, and pressure acts along the "
-    "contactor's normals: the force's direction is off by that share; refine the contactor there if it is round, swap "
-    'contactor and target, or take projection="closest"'
+    "contactor's normals: the direction of this part's force (of separate parts of the contact the worst) is off by that "
+    "share; refine the contactor there if it is round, swap contactor and target, or take "
+    'projection="closest"'
 )
 TURNED = 0.03  # of the force
 DIPS = (
     "what slides dips into the target with the contactor's last facets, where pressures are largest and act along normals "
-    "that are not the target's, on fine meshes, too: friction is off by about that share; round the corner over some facets, "
-    'or compare with contactor and target swapped, or with projection="closest"'
+    "that are not the target's, on fine meshes, too: friction of this part (of separate parts of the contact the worst) is "
+    "off by about that share; round the corner over some facets, or compare with contactor and target swapped, or with "
+    'projection="closest"'
 )
 OF_FRICTION = 0.05  # of what friction bears in gross slip
 PATCHES = (
@@ -217,12 +219,12 @@ class PairFindings(PairResults):
         contactor, 𝐧 is the better one."""
         if not self._has_two_normals:
             return None
-        share = self._share_off_normal(
+        share, X = self._share_off_normal(
             lambda own, facet: self._contactor.turns[own] > self._target_surface.turns[facet]
         )
         if share < TURNED:
             return None
-        return Finding(f"{self.name}: share of the force that is off the target's normal", share, (), BY_NORMALS, False)
+        return Finding(f"{self.name}: share of the force that is off the target's normal", share, X, BY_NORMALS, False)
 
     def dipping_friction(self, μ: float) -> Finding | None:
         """The same in the contactor's last facets, as a share of friction of the coefficient μ, where most of what presses
@@ -233,12 +235,12 @@ class PairFindings(PairResults):
         slipping, force = sum_over(self.comm, np.array([pressed @ slips, pressed.sum()]))
         if slipping <= force / 2:
             return None
-        share = self._share_off_normal(
+        share, X = self._share_off_normal(
             lambda own, facet: self._contactor.at_ends[own] & ~self._target_surface.at_ends[facet]
         )
         if share < OF_FRICTION * μ:
             return None
-        return Finding(f"{self.name}: share of the friction that is off", share / μ, (), DIPS, False)
+        return Finding(f"{self.name}: share of the friction that is off", share / μ, X, DIPS, False)
 
     @property
     def _has_two_normals(self) -> bool:
@@ -251,21 +253,26 @@ class PairFindings(PairResults):
         assert isinstance(self.target, DeformableTarget)
         return self.target.surface
 
-    def _share_off_normal(self, counts: Callable[[Index, Index], NDArray[np.bool_]]) -> float:
-        """The largest mean over a connected zone of p (ν − ν₂) over that of p, ν₂ the target's normal; of facets of the
-        contactor and the target's that they face (n,) `counts` says which do (collective)."""
+    def _share_off_normal(self, counts: Callable[[Index, Index], NDArray[np.bool_]]) -> tuple[float, tuple[float, ...]]:
+        """The largest mean over a connected zone of p (ν − ν₂) over that of p, ν₂ the target's normal, and the middle of that
+        zone; of facets of the contactor and the target's that they face (n,) `counts` says which do (collective)."""
         closed = np.flatnonzero(self.state.status != OPEN)
         at, own = self.at.take(closed), self._own[self.integration.facet[closed]]
         normal = surface_normal(at.a)
         normal /= (np.sqrt(dot(normal, normal)) * np.where(dot(normal, at.ν) < 0, -1.0, 1.0))[:, None]
         pressed, zone = self.j[closed] * self.state.p[closed], self._contactor.zones(self._touched())
-        parts = np.column_stack([(pressed * counts(own, at.point.facet))[:, None] * (at.ν - normal), pressed])
+        off = (pressed * counts(own, at.point.facet))[:, None] * (at.ν - normal)
+        parts = np.column_stack([off, pressed[:, None] * self.points()[closed], pressed])
         sums = np.zeros((zone.max(initial=-1) + 1, parts.shape[1]))
         np.add.at(sums, zone[own], parts)
         sums = sum_over(self.comm, sums)
-        force = sums[:, -1]
-        bears = force > TURNED * force.sum()  # errors of the others are below what is said of one zone
-        return float((np.linalg.norm(sums[bears, :-1], axis=1) / force[bears]).max(initial=0.0))
+        sums = sums[sums[:, -1] > TURNED * sums[:, -1].sum()]  # errors of the others are below what is said of one zone
+        if not len(sums):
+            return 0.0, ()
+        off, middles = np.split(sums[:, :-1] / sums[:, -1:], 2, axis=1)
+        shares = np.linalg.norm(off, axis=1)
+        worst = int(shares.argmax())
+        return float(shares[worst]), tuple(middles[worst].tolist())
 
     def patches(self) -> Finding | None:
         """What is open amid a contact of many facets, as a share of it, where straight facets of curved surfaces leave larger

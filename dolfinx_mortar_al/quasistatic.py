@@ -202,7 +202,12 @@ def march(
         agreed(problem.comm, "start", begin)
         legs = _legs(problem, stages, done=int(begin))
     else:
-        legs = _legs(problem, [Stage(load, to, increments)], start)  # type: ignore[arg-type]
+        if to is None or increments is None:
+            raise ValueError(
+                f"to = {to}, increments = {increments}: say where the load goes and in how many steps, as in "
+                "march(problem, load, to=…, increments=…)"
+            )
+        legs = _legs(problem, [Stage(load, to, increments)], start)
         begin = float(legs[0].start is not None and _alike(problem, legs[0].start, legs[0].end))  # 1: it is over
     agreed(problem.comm, "smallest", smallest)
     control = _LoadControl(problem, stepping.solver_of(problem, solver), legs, begin, smallest, event)
@@ -450,12 +455,14 @@ class _LoadControl(Controller[Step]):
     def _doubts(self, legs: Sequence[_Leg], limit: float) -> list[str]:
         """Questions about the units of loads that at their ends lead or load a body by more than `limit` times its size or
         firmness (collective)."""
-        sizes: Array = np.zeros(2)  # of the way, of the forces
+        p, sizes = self.problem, [0.0, 0.0]  # of the way, of the forces
         for leg in legs:
             here = leg.load.value
             leg.load.set(leg.end)
-            ends = [self.problem.bodies.way_over_size(), self.problem.force_over_firmness()]
-            sizes = np.fmax(sizes, ends)
+            way = p.bodies.way_over_size()
+            # a way still to be gone would count as forces, as large as crushed cells are stiff
+            ends = way, p.force_over_firmness() if way < NEARLY else 0.0
+            sizes = [max(size, end) for size, end in zip(sizes, ends, strict=True)]
             leg.load.set(here)
         return [text.format(size) for text, size in zip((LED, LOADED), sizes, strict=True) if size > limit]
 

@@ -499,6 +499,13 @@ def test_a_body_wholly_behind_its_target(domain):
         problem_with(domain, [contact])
 
 
+def test_a_body_in_a_sphere_that_is_no_hollow(domain):
+    """It has no other side to pass: the hollow is meant."""
+    contact = Contact(Surface(domain[0], domain[2], UPPER_BOTTOM), obstacles.RigidSphere([0.5, 2.0], 3.0))
+    with pytest.raises(ValueError, match="inside=True"):
+        problem_with(domain, [contact])
+
+
 def test_laws_and_forms_of_the_wrong_kind(domain):
     V = fem.functionspace(domain[0], ("Lagrange", 1, (2,)))
     u, other = fem.Function(V), fem.Function(V)
@@ -512,6 +519,8 @@ def test_laws_and_forms_of_the_wrong_kind(domain):
     law = materials.neo_hookean(1e6, 0.3)
     with pytest.raises(ValueError, match="different subdomain_data"):
         ContactProblem(law.virtual_work(u) + law.virtual_work(u, dx=dx(1)), u)
+    with pytest.raises(ValueError, match="a form has its own"):
+        Body(u, law, external=[(ufl.inner(ufl.as_vector([0.0, 1.0]), ufl.TestFunction(V)) * ufl.ds, ufl.ds)])
 
 
 def test_loads_that_are_no_parameter():

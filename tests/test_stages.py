@@ -287,6 +287,7 @@ def test_arguments_are_checked_at_the_call():
         (lambda: quasistatic.march(block.problem, block.top, to=(1.0,), increments=1), r"shape \(2,\)"),
         (lambda: quasistatic.march(block.problem, block.u, to=print, increments=1), "is the displacement"),
         (lambda: quasistatic.march(block.problem, "load", to=1.0, increments=1), "load: str is no load"),
+        (lambda: quasistatic.march(block.problem, block.top), "say where the load goes"),
         (lambda: quasistatic.march(block.problem, Stage(block.top, PRESSED, 1), to=1.0), "leave them out"),
         (lambda: quasistatic.march(block.problem, [Stage(block.top, PRESSED, 0)]), "increments = 0"),
         (
