@@ -91,6 +91,7 @@ class ContactPair(PairFindings):
         self.integration = self.gauss
         self.area = sum_over(self.comm, float(self.j.sum()))
         self._facet_count = sum_over(self.comm, self.facets.size)
+        self._check_single(contactor)
         self._check_apart(contactor)
         reach = max(bodies.reach(), self.target.reach)
         statics = PositionLevel(self.integration, self._body1.u, self.target, friction, reach)
@@ -204,6 +205,24 @@ class ContactPair(PairFindings):
         if not isinstance(target, DeformableTarget) or target.is_contactor or not target.uses_rays:
             return None
         return TargetEnd(target, self.integration.size)
+
+    def _check_single(self, contactor: GatheredFacets) -> None:
+        """No facet lies on another one of its surface: what two of them carry counts twice.
+
+        Raises:
+            ValueError: on every rank.
+        """
+        target = self.target
+        sides = [("contactor", f"tag {self.contact.contactor.tag}", contactor)]
+        if isinstance(target, DeformableTarget) and not target.is_contactor:
+            sides.append(("target", self.contact.target_name, target.surface))
+        for name, tag, side in sides:
+            if len(twice := side.doubled()):
+                X = ", ".join(f"{x:.4g}" for x in side.X[side.facets[twice[0]]].mean(axis=0))
+                raise ValueError(
+                    f"{self.name}: facets of the {name} ({tag}) lie on others of it and face the same way, {len(twice)} in "
+                    f"all, the first at X = ({X}): is a body drawn or imported twice? Leave one out"
+                )
 
     def _check_apart(self, contactor: GatheredFacets) -> None:
         """Contactor and target share no node: the gap would vanish there whatever happens.

@@ -31,6 +31,7 @@ Index = NDArray[np.int64]
 # A round body has three facets at least on a right angle, which turn by 30°; a chamfer, which is a corner, by 45°.
 SHARP = np.cos(np.deg2rad(37.5))
 FLAT = 1e-6  # rad: what straight surfaces turn by in round-off
+ASKEW = np.sqrt([2.0, 3.0, 5.0])  # a direction along which no two facets of a regular mesh are alike
 SQUARES = ((0, 4, 5, 8), (4, 1, 8, 6), (5, 8, 2, 7), (8, 6, 7, 3))  # of a quadrilateral of order 2, by its nodes
 
 
@@ -452,6 +453,14 @@ class GatheredFacets:
     def smooth_turns(self) -> Array:
         """(nf,) by how much the surface that they stand for turns over each facet (rad), but at sharp corners."""
         return np.asarray(8 * (self.rises + self.sagittas) / self.diameters)
+
+    def doubled(self) -> Index:
+        """The facets that lie on another one and face the same way, as those of a body that was imported twice."""
+        middle, normal = self.X[self.facets].mean(axis=1), self._own_normals.mean(axis=1)
+        order = np.argsort(middle @ ASKEW[: middle.shape[1]], kind="stable")
+        apart, turned = np.linalg.norm(np.diff(middle[order], axis=0), axis=1), normal[order[1:]] - normal[order[:-1]]
+        same = (apart < FLAT * self.diameters[order[1:]]) & (np.linalg.norm(turned, axis=1) < FLAT)
+        return order[1:][same]
 
     @cached_property
     def diameters(self) -> Array:

@@ -165,6 +165,27 @@ def test_a_target_that_faces_away(domain):
         problem_on(domain, contact)
 
 
+def test_a_body_that_is_there_twice():
+    """Both copies press on the slab: a third more force, and no word. A crack's faces, which look at each other, are none."""
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
+    element = basix.ufl.element("Lagrange", "triangle", 1, shape=(2,))
+    cells = np.array([[0, 1, 2], [0, 2, 3]])
+
+    def top(second):
+        X, every = np.concatenate([corners, second]), np.concatenate([cells, cells + 4])
+        mine = slice(None) if MPI.COMM_WORLD.rank == 0 else slice(0, 0)
+        built = mesh.create_mesh(MPI.COMM_WORLD, every[mine].astype(np.int64), X[mine], element)
+        facets = np.sort(mesh.locate_entities_boundary(built, 1, lambda x: np.isclose(x[1], 1.0)))
+        u = fem.Function(fem.functionspace(built, ("Lagrange", 1, (2,))))
+        tags = mesh.meshtags(built, 1, facets, np.ones(len(facets), dtype=np.int32))
+        contact = Contact(Surface(built, tags, 1), obstacles.RigidPlane([0.0, 1.5], [0.0, -1.0]))
+        return ContactProblem(materials.neo_hookean(1.0, 0.3).virtual_work(u), u, contacts=[contact])
+
+    with pytest.raises(ValueError, match="lie on others of it and face the same way, 1 in all"):
+        top(corners)
+    top(np.array([[0, 2], [1, 2], [1, 1], [0, 1]])[[2, 3, 0, 1]])  # the other face of y = 1
+
+
 def test_a_surface_of_another_mesh(domain):
     other = TwoBeams(along=(4, 4), across=1).create()
     with pytest.raises(ValueError, match="another mesh"):
