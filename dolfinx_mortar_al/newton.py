@@ -30,6 +30,8 @@ NOT_FINITE = -4  # a reason that PETSc has renamed
 
 FIRST_TENSION = 1.0  # of a start without stiffness, as a share of the membrane's stiffness in its own plane
 LEAST_TENSION = 1e-12  # so much stays on what no force has met yet, lest the Jacobian be singular
+LOOSENS, TIGHTENS = 0.3, 3.0  # times the tension while Newton gets on, and where the residual has grown by more than
+OVERSHOOTS = 10.0  # times: forces in the plane grow first where it falls
 LAW_TOLERANCE = 1e-6  # on λ̂_N of the wrong sign, of the pair's largest pressure, or of all pairs' if it has none
 TRAPPED = 4  # times that a step is halved lest cells be inverted: half of the one before is taken then, once in a solve
 LONGEST = 4.0  # target facets that a closed point may move over the target in one iteration
@@ -258,12 +260,12 @@ class NewtonSolver:
         """For a start without stiffness, such as a flat membrane: a tension in the Jacobian only.
 
         It is counted in shares of the stiffness and multiplied by the relative residual, so that next to nothing is left
-        at convergence; as Newton makes progress it shrinks faster, and grows back where it does not. A solve may begin
-        without forces, before what has come into contact presses.
+        at convergence; from iteration to iteration it shrinks faster, and grows back where that was too much. A solve may
+        begin without forces, before what has come into contact presses.
         """
         norms = [max(norms) for norms in self.result.norms]
         if len(norms) > 1:
-            self._tension *= 0.3 if norms[-1] < norms[-2] else 3.0
+            self._tension *= LOOSENS if norms[-1] < OVERSHOOTS * norms[-2] else TIGHTENS
         first = next((norm for norm in norms if norm > 0.0), 0.0)
         share = min(first, norms[-1]) / first if first else 1.0
         return max(self._tension * share, LEAST_TENSION) if self._tension else 0.0
@@ -456,7 +458,7 @@ class NewtonSolver:
         if length < 1.0:
             y.scale(length)
         p.tighten_ties()
-        improved = self._path is None and not p.tension and self._improve(x, y, length)
+        improved = self._path is None and self._improve(x, y, length)
         if self._may_return:
             x.copy(self._before)
             y.copy(self._taken)
