@@ -21,6 +21,7 @@ Bool = NDArray[np.bool_]
 DEPTH = 0.05  # of a facet, behind which an open point that came through its front has not been seen by contact
 CHUNK = 2**20  # couples of points and facets looked at together
 OPPOSITE = -0.7  # cosine of the normals where a point has come in and out, of the two sides of a plate
+STEEP = 0.7  # sine of the angle between a way and a surface, below which it leads along it
 AROUND = 0.25  # of a piece, beside which it may hold the closest point of what is behind a hollow
 BEHIND = 0.1  # cosine of the normals of a surface and of an obstacle, from which on that lies behind the surface,
 BENEATH = 0.5  # and where the surface lies in it: beside a corner that is pressed in they are at an angle
@@ -43,7 +44,8 @@ def passed_through(
     """(n,) points that went from 𝐱₀ to 𝐱₁ (n, gdim) through the front of a target facet and ended farther behind its plane
     than `depth` (m), or came out again at the other side of a plate. (A point that comes out again elsewhere may have gone
     round under contact, where surfaces slide over many facets.) Of those not what went through the target along facets that
-    are `touching` (nf,), no farther from the middle of one than a facet is large: it has gone round under these.
+    are `touching` (nf,), sliding past them rather than towards or from them, no farther from the middle of one than a facet
+    is large: it has gone round under these.
 
     `before`, `after` (nodes, gdim) are the positions of the target's nodes. Facets count as flat between neighbouring nodes,
     and motions as straight. `counts` says of points (m,) and facets (m,) which couples are looked at, all by default.
@@ -54,19 +56,24 @@ def passed_through(
     c0, c1 = (_corners(target, nodes) for nodes in (before, after))
     under = np.zeros(len(c0), dtype=bool) if touching is None else np.repeat(touching, len(pieces))
     middles = c0[under].mean(axis=1), c1[under].mean(axis=1)
+    normals = _normal(c0[under], orientation[under]) + _normal(c1[under], orientation[under])
     for point, piece in _couples([c0, c1], [x0, x1], 0.0):
         if counts is not None:
             real = counts(point, piece // len(pieces))
             point, piece = point[real], piece[real]
         through, *times = _Ways(c0[piece], c1[piece], x0[point], x1[point], orientation[piece], point).through(depth)
-        along = _along(middles, (x0[through], x1[through]), times, target.size_of_facets)
+        along = _along(middles, normals, (x0[through], x1[through]), times, target.size_of_facets)
         passed[through[~along]] = True
     return passed
 
 
-def _along(middles: tuple[Array, Array], x: tuple[Array, Array], times: Sequence[Array], reach: float) -> Bool:
+def _along(
+    middles: tuple[Array, Array], normals: Array, x: tuple[Array, Array], times: Sequence[Array], reach: float
+) -> Bool:
     """(n,) points that come as near as `reach` (m) to any of the `middles` (m, gdim) between two `times` (n,), all moving
-    straight on from where they are at 0 to where they are at 1, a share of the points at a time."""
+    straight on from where they are at 0 to where they are at 1, and past it, across its normal (m, gdim) of any length
+    rather than along that; a share of the points at a time."""
+    ν = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     near = np.zeros(len(x[0]), dtype=bool)
     rows = max(1, CHUNK // max(len(middles[0]), 1))
     for start in range(0, len(near) if len(middles[0]) else 0, rows):
@@ -74,7 +81,8 @@ def _along(middles: tuple[Array, Array], x: tuple[Array, Array], times: Sequence
         r, dr = (x[0][part, None] - middles[0]), (x[1] - x[0])[part, None] - (middles[1] - middles[0])
         t = -(r * dr).sum(axis=2) / np.maximum((dr * dr).sum(axis=2), 1e-300)
         t = np.clip(t, *(time[part, None] for time in times))
-        near[part] = (np.linalg.norm(r + t[:, :, None] * dr, axis=2) <= reach).any(axis=1)
+        past = np.abs(np.einsum("nmi,mi->nm", dr, ν)) <= STEEP * np.linalg.norm(dr, axis=2)
+        near[part] = (past & (np.linalg.norm(r + t[:, :, None] * dr, axis=2) <= reach)).any(axis=1)
     return near
 
 
