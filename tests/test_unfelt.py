@@ -307,9 +307,9 @@ def test_an_elastic_rod_does_not_end_up_through_a_strip(E_rod, way, expected):
         u.append(fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,)))))
         bodies.append(materials.neo_hookean(E, 0.3).virtual_work(u[-1]))
 
-    def side(k, at):
+    def side(k, *at):
         domain = u[k].function_space.mesh
-        facets = np.sort(mesh.locate_entities_boundary(domain, 1, at))
+        facets = np.sort(np.concatenate([mesh.locate_entities_boundary(domain, 1, place) for place in at]))
         return Surface(domain, mesh.meshtags(domain, 1, facets, np.ones(len(facets), dtype=np.int32)), 1)
 
     led = fem.Constant(u[1].function_space.mesh, (0.0, 0.0))
@@ -318,7 +318,8 @@ def test_an_elastic_rod_does_not_end_up_through_a_strip(E_rod, way, expected):
     top = fem.locate_dofs_geometrical(W, lambda x: np.isclose(x[1], 0.35))
     bcs = [fem.dirichletbc(np.zeros(2), ends, V), fem.dirichletbc(led, top, W)]
     rod = side(1, lambda x: np.isclose(x[1], 0.05) | np.isclose(abs(x[0] - 0.9), 0.025))
-    contact = Contact(rod, side(0, lambda x: np.isclose(x[1], 0.0)))
+    faces = [lambda x, y=y: np.isclose(x[1], y) for y in (0.0, -0.02)]
+    contact = Contact(rod, side(0, *faces))
     problem = ContactProblem(bodies, u, bcs=bcs, contacts=[contact])
     for _ in quasistatic.march(problem, led, to=way, increments=5 if way[0] == 0.0 else 2):
         pass
