@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
+ROUNDS = 3  # in which a way over a curved surface is found: it and its chord differ by the square of way over radius
 AT_NODE = 1e-9  # share of the other nodes where a point of the target is one of its nodes
 # Of a gap's turn, what the target's facet says; the contactor's says the rest: half each, so that two bodies that mirror each
 # other have no slip (docs/theory.md).
@@ -226,7 +227,7 @@ class Kinematics(ABC):
         are moved to and fro."""
         if unspent is not None:
             unspent = np.where((status == OPEN)[:, None], 0.0, unspent)
-        point = self.faced.point.copy()
+        point = self.slips_on_from(unspent)
         lost = np.flatnonzero(~self.faced.facing)
         if self.friction and len(lost):  # the slip of what comes back is counted from the nearest point
             near = self.target.closest(self.x[lost]).point
@@ -238,6 +239,10 @@ class Kinematics(ABC):
             ρ[stuck] = self.ρ[stuck]
         self.set_history(point, ρ)
         self.last = LastStep(self.points, self.history, self.ρ, np.zeros_like(self.ρ), stuck)
+
+    def slips_on_from(self, unspent: Array | None) -> TargetPoint:
+        """(n,) the target's points Y that slip is counted from after a step that has left a slip (n, gdim) `unspent` (m)."""
+        return self.faced.point.copy()
 
     def apart(
         self, point: TargetPoint, facing: Bool, x: Array, nodes: Array, unspent: Array | None = None
@@ -366,8 +371,7 @@ class PositionLevel(Kinematics):
         drift = self._drift() if self.friction else None
         super().commit(unspent, status)
         if drift is not None:
-            if self.carries:
-                self.last = replace(self.last, owed=np.where((status == OPEN)[:, None], 0.0, self.slip()))
+            self.last = replace(self.last, owed=np.where((status == OPEN)[:, None], 0.0, self.slip()))
             self._remember_approach(drift, status == OPEN)
 
     def _remember_approach(self, drift: Array, is_open: Bool) -> None:
@@ -413,13 +417,31 @@ class PositionLevel(Kinematics):
             ρ = self.ρ + components(self.target.tangents(self.history, self.slopes), air)
             self.set_history(self.history, ρ)
         else:
-            came, point = np.flatnonzero(air.any(axis=1)), self.history.copy()
-            near = self.target.closest(self.positions_of_history()[came] + air[came]).point
-            point.facet[came], point.η[came] = near.facet, near.η
+            point = self.history.copy()
+            self._move(point, self.positions_of_history(), air)
             self.set_history(point)
         owed, stuck = self.last.owed_at(self.points) - air, self.last.stuck_at(self.points)
         self.last = LastStep(self.points, self.history, self.ρ, owed, stuck)
         self.s = self.slip()
+
+    def slips_on_from(self, unspent: Array | None) -> TargetPoint:
+        """Where slip has no ρ to hold what is unspent, Y is as far behind."""
+        point = super().slips_on_from(unspent)
+        if unspent is not None and not self.carries:
+            self._move(point, self.at.y, -unspent)
+        return point
+
+    def _move(self, point: TargetPoint, y: Array, way: Array) -> None:
+        """Move points of the target, at 𝐲 (n, gdim), over it until the straight way (n, gdim) there is the given one (m), as
+        far as that is along the surface at 𝐲."""
+        moved = np.flatnonzero(way.any(axis=1))
+        start, way, ν = y[moved], way[moved], self.at.ν[moved]
+        rest, near = way, start
+        for _ in range(ROUNDS):
+            at = self.target.closest(near + rest)
+            near, rest = at.y, way - (at.y - start)
+            rest = rest - ν * dot(ν, rest)[:, None]
+        point.facet[moved], point.η[moved] = at.point.facet, at.point.η
 
     @property
     def carries(self) -> bool:
