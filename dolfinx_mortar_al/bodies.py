@@ -23,7 +23,7 @@ from dolfinx_mortar_al.compiling import compiled
 from dolfinx_mortar_al.foreseen_pressure import ForeseenPressure
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
-from dolfinx_mortar_al.moduli import doubt_order, yielding_share
+from dolfinx_mortar_al.moduli import doubt_order, softest, yielding_share
 from dolfinx_mortar_al.petsc_blocks import JointNumbering
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed, agreed_on_group
@@ -305,10 +305,9 @@ class Bodies:
         """(pieces,) on which some displacement that is not prescribed meets next to no stiffness (collective); see
         `stiffness`."""
         largest, found = self.stiffest(diagonals), np.zeros(self.pieces)
-        for body, first, diagonal in zip(self.bodies, self.first_piece, diagonals, strict=True):
-            piece = np.repeat(body.piece + first, self.gdim)
-            free = body.prescribed().x.array == 0
-            found[piece[free & (diagonal.x.array < SLACK * largest[piece])]] = 1.0
+        for body, first, least in zip(self.bodies, self.first_piece, self.softest, strict=True):
+            piece = body.piece[: len(least)] + first
+            found[piece[least < SLACK * largest[piece]]] = 1.0
         return np.asarray(max_over(self.comm, found) > 0)
 
     def stiffest(self, diagonals: Sequence[fem.Function]) -> Array:
@@ -443,6 +442,8 @@ class Bodies:
         diagonals, indptr, indices, entries = [], [np.zeros(1, dtype=np.int32)], [], 0
         #: the same diagonals, on a body's boundary as a pressure meets them
         self.yielding = []
+        #: of each body, (owned nodes,) the least stiffness (N/m) that a displacement of a node meets which is not prescribed
+        self.softest: list[Array] = []
         for k, body in enumerate(self.bodies):
             A = body.stiffness()
             body.floating = floating_pieces(body.space, body.piece, body.prescribed(), A)
@@ -450,6 +451,7 @@ class Bodies:
             A.getDiagonal(diagonal.x.petsc_vec)
             diagonal.x.scatter_forward()
             diagonals.append(diagonal)
+            self.softest.append(softest(body.space, A, body.prescribed()))
             self.yielding.append(yielding_share(body.space, A))
             doubt_order(self.yielding[-1], f"u[{k}]")
             self.yielding[-1].x.array[:] *= diagonal.x.array

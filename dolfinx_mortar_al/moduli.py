@@ -21,13 +21,41 @@ from petsc4py import PETSc
 
 from dolfinx_mortar_al.monitors import warn
 
-__all__ = ["doubt_order", "yielding_share"]
+__all__ = ["doubt_order", "softest", "yielding_share"]
 
 Array = NDArray[np.float64]
 
 LOCKS = 0.49  # Poisson's ratio: from there on cells of order 1 are too stiff by a quarter and more where a few bend or bulge
 NOISE = 1e-10  # of a node's stiffness times the body's size: inside, where a uniform strain meets no force, is less
 ELASTIC = 1e-6  # of a node's stiffness: what a translation meets must be less, else inertia or springs are in it
+
+
+def softest(V: fem.FunctionSpace, A: PETSc.Mat, prescribed: fem.Function) -> Array:
+    """(owned nodes,) the least stiffness (N/m) that a displacement of one node alone meets: on membranes, which resist in
+    their own plane at first, in whatever direction, else along the axes. Infinite where all is `prescribed`.
+
+    Args:
+        V: the displacement's space.
+        A: stiffness of the body, without Dirichlet conditions.
+        prescribed: 1 in components that are, else 0.
+    """
+    d, (first, end) = V.mesh.geometry.dim, A.getOwnershipRange()
+    free = prescribed.x.array[: end - first].reshape(-1, d) == 0
+    if V.mesh.topology.dim == d:
+        return np.where(free, A.getDiagonal().array_r.reshape(-1, d), np.inf).min(axis=1, initial=np.inf)
+    rows, columns, values = A.getValuesCSR()
+    row = np.repeat(np.arange(end - first), np.diff(rows))
+    own = row // d == (columns - first) // d
+    blocks = np.zeros((len(free), d, d))
+    blocks[row[own] // d, row[own] % d, (columns[own] - first) % d] = values[own]
+    blocks[~(free[:, :, None] & free[:, None])] = 0.0
+    largest = np.abs(blocks).max(axis=(1, 2), initial=0.0)
+    blocks[:, np.arange(d), np.arange(d)] += np.where(free, 0.0, largest[:, None])
+    known = np.isfinite(largest)  # what is no number is not compared: a pair says so, or Newton
+    least = np.full(len(free), np.inf)
+    least[known] = np.linalg.eigvalsh((blocks[known] + np.swapaxes(blocks[known], 1, 2)) / 2)[:, 0]
+    least[~free.any(axis=1)] = np.inf
+    return least
 
 
 def yielding_share(V: fem.FunctionSpace, A: PETSc.Mat) -> fem.Function:

@@ -342,12 +342,15 @@ class NewtonSolver:
         pattern = self.problem.contact_pattern()
         self._damping = 1.0
         returns = pattern in self._patterns[:-1] and pattern != self._patterns[-1] and self._no_nearer(pattern)
-        if self._trapped or (not returns and self._stands_still(pattern) and self._held_back >= HELD_BACK):
+        # under a fictitious tension steps are short at first, and leave the residual nearly as it is
+        free = self.problem.tension <= LEAST_TENSION
+        stands_still = free and self._stands_still(pattern)
+        if self._trapped or (not returns and stands_still and self._held_back >= HELD_BACK):
             self.result.message = (
                 f"each step would leave an inverted cell (det F ≤ 0), however short; forces{self._worst_place()[1:]}"
             )
             return _Reason.DIVERGED_LOCAL_MIN
-        if returns or self._stands_still(pattern) or self._alternates(pattern):
+        if returns or stands_still or (free and self._alternates(pattern)):
             self._cycles += 1
             if self._cycles > MAX_CYCLES:
                 where = (
