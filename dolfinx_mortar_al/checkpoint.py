@@ -1,10 +1,11 @@
 """Save a run after a step, and go on after it was interrupted, at whatever moment.
 
-A checkpoint has all that the next step depends on but its length: displacements, velocities, multipliers, slip histories,
-contact states, poses of obstacles, loads, time and ledger. Each rank writes a file of its own under a temporary name and
-renames it; the set is whole when all ranks' files carry the same token. Two sets alternate, so that a whole one is always
-there. It goes only into the problem that it was made with, as their fingerprints say (`fingerprint.py`), and by as many
-ranks: meshes are partitioned alike, and the numbers are those there were.
+A checkpoint has all that the next step depends on but its length and what it is predicted from: displacements, velocities,
+multipliers, slip histories, contact states, poses of obstacles, loads, time and ledger. Each rank writes a file of its own
+under a temporary name and renames it; the set is whole when all ranks' files carry the same token. Two sets alternate, so
+that a whole one is always there. It goes only into the problem that it was made with, as their fingerprints say
+(`fingerprint.py`), and by as many ranks: meshes are partitioned alike, and the numbers are those there were, to Newton's
+tolerance.
 """
 
 from __future__ import annotations
