@@ -48,7 +48,7 @@ class Sheet:
             x, cells = flat.x[:, :2], flat.dofmap
         element = basix.ufl.element("Lagrange", self.kind, 1, shape=(d,))
         X = np.column_stack([x, np.zeros(len(x))])
-        domain = mesh.create_mesh(MPI.COMM_WORLD, np.asarray(cells, dtype=np.int64), X, element)
+        domain = mesh.create_mesh(MPI.COMM_WORLD, cells=np.asarray(cells, dtype=np.int64), x=X, e=element)
         every = np.arange(domain.topology.index_map(d - 1).size_local, dtype=np.int32)
         tags = mesh.meshtags(domain, d - 1, every, np.ones(len(every), dtype=np.int32))
         return fem.Function(fem.functionspace(domain, ("Lagrange", self.order, (d,)))), tags

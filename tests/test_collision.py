@@ -282,6 +282,7 @@ def middle(motion):
     return MPI.COMM_WORLD.allreduce(float(y[np.abs(x) < 1e-9].min(initial=np.inf)), MPI.MIN)
 
 
+@pytest.mark.one_rank
 def test_steps_by_local_error():
     """With a tolerance Δt is the longest in flight, shrinks at the impact and grows back; velocities are nearer to those of
     short steps than those of as many equal ones."""

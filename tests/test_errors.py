@@ -174,7 +174,7 @@ def test_a_body_that_is_there_twice():
     def top(second):
         X, every = np.concatenate([corners, second]), np.concatenate([cells, cells + 4])
         mine = slice(None) if MPI.COMM_WORLD.rank == 0 else slice(0, 0)
-        built = mesh.create_mesh(MPI.COMM_WORLD, every[mine].astype(np.int64), X[mine], element)
+        built = mesh.create_mesh(MPI.COMM_WORLD, cells=every[mine].astype(np.int64), x=X[mine], e=element)
         facets = np.sort(mesh.locate_entities_boundary(built, 1, lambda x: np.isclose(x[1], 1.0)))
         u = fem.Function(fem.functionspace(built, ("Lagrange", 1, (2,))))
         tags = mesh.meshtags(built, 1, facets, np.ones(len(facets), dtype=np.int32))

@@ -29,6 +29,7 @@ def mean_around(u, centre, radius):
     return total[:2] / total[2]
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("order, size", [(1, 0.03), (2, 0.04)])
 def test_the_rollers_of_a_bearing_roll(order, size):
     """A bearing's inner ring is pressed onto three loose rollers and turned: each goes round by INNER/(INNER + OUTER) of the
@@ -71,6 +72,7 @@ def test_the_rollers_of_a_bearing_roll(order, size):
         assert np.linalg.norm(sum(forces)) < 1e-6 * np.linalg.norm(forces[0])
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("friction", [0.1, 0.2])
 def test_a_beam_is_bent_on_four_free_rollers(friction):
     """Two rollers under a beam and two between it and a platen, none of them prescribed anything: all have one neutral motion

@@ -200,6 +200,7 @@ def strain(u):
     return ufl.sym(ufl.grad(u))
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("tolerance", [None, 5e-13])
 def test_a_viscous_form_has_all_of_its_viscosity(tolerance):
     """The first mode decays at the rate ηω²/(2E), with steps of one length and of several; what is lost is in the books."""

@@ -348,6 +348,7 @@ def triangles(ends, cells):
     return fem.functionspace(domain, ("Lagrange", 1, (2,))), mesh.meshtags(domain, 1, facets[order], values[order])
 
 
+@pytest.mark.one_rank
 def test_a_block_is_not_stood_on_the_corner_that_it_is_pushed_from():
     """A block pressed by 32 N and pushed at its top beyond what topples it. Newton's wild iterates found it on the corner
     behind, leaning against the push, and that was taken without a word."""

@@ -441,7 +441,8 @@ def ball_under_membrane(cells, radius, x, stretch, increments, to=0.2):
     place x (m); and the force on the membrane (N)."""
     nodes = np.column_stack([np.linspace(0.0, 1.0, cells + 1), np.zeros(cells + 1)])
     ends = np.column_stack([np.arange(cells), np.arange(1, cells + 1)])
-    domain = mesh.create_mesh(MPI.COMM_WORLD, ends, nodes, basix.ufl.element("Lagrange", "interval", 1, shape=(2,)))
+    element = basix.ufl.element("Lagrange", "interval", 1, shape=(2,))
+    domain = mesh.create_mesh(MPI.COMM_WORLD, cells=ends, x=nodes, e=element)
     V = fem.functionspace(domain, ("Lagrange", 2, (2,)))
     u, led, ball = fem.Function(V), fem.Function(V), RigidSphere([x, -radius], radius)
     led.interpolate(lambda X: np.stack([stretch * (X[0] - 0.5), 0 * X[0]]))
