@@ -204,7 +204,7 @@ def test_tangent_on_a_curved_obstacle():
 @pytest.mark.parametrize("target", ["disc", "plane", "closest points"])
 def test_friction_stays_while_nothing_moves(target, order):
     """What drags a block slides on by a facet, and rests. Each point slips on from what its multiplier has not seen of its
-    slip: with that forgotten friction fell by 8.5 % of itself on the disc, by 1.8 % on the plane, by 4 % on closest
+    slip: with that forgotten friction fell by 8.5 % of itself on the disc, by 1.8 % on the plane, by 4 to 6 % on closest
     points, without a word, and hung on the number of increments."""
     slab = Box((0.0, 0.0), (2.0, 0.8), (8, 3), 1, {(1, 0): 1, (1, 1): 2})
     punch = Box((0.5, 0.8), (0.9, 0.5), (3, 2), 2, {(1, 1): 3, (1, 0): 4})
