@@ -106,6 +106,8 @@ class ContactPair(PairFindings):
         # (nf, nodes, gdim) which components are prescribed
         self._fixed: Bool = self._at_nodes(self._body1.prescribed()) > 0
         self._may_be_redundant = any_over(self.comm, self._fixed.any()) and bool(self.target.fixed.any())
+        # (nf, nodes) the contactor's nodes in which the multiplier has no part, as another pair's is there, too
+        self._out_as_shared: Bool = np.zeros(self.facets.dofs.shape, dtype=bool)
         redundant = self._redundant(self.facets.X)
         # (nf, nodes, gdim) and (nodes, gdim) nodes of both sides with which redundant ones were looked for last (m)
         self._looked_at: tuple[Array, Array] = np.zeros(0), np.zeros(0)
@@ -258,6 +260,7 @@ class ContactPair(PairFindings):
             if self.target.is_contactor:  # whose own clamped face may be plane
                 planes &= ~np.asarray(fixed[facet, node].all(axis=1))[:, None]
             fixed[facet, node] &= (near[:, None] & given) | planes
+        fixed |= self._out_as_shared[:, :, None]
         return fixed if self.friction else np.asarray(fixed.all(axis=2, keepdims=True))
 
     def _leave_out_redundant(self, contactor: Array, place: Place) -> bool:
@@ -272,7 +275,28 @@ class ContactPair(PairFindings):
         if not any_over(self.comm, not again):
             return False
         self._looked_at = contactor.copy(), place.copy()
-        redundant = self._redundant(contactor, place)
+        return self._leave_out(self._redundant(contactor, place))
+
+    def near(self, share: float) -> Bool:
+        """(nf, nodes) which of the contactor's nodes lie within a share of their facet's length from the target, in the last
+        equilibrium."""
+        nodes, length = self._converged.nodes, self.facets.areas() ** (1.0 / self.facets.shape.dim)
+        apart = self.target.distances(nodes.reshape(-1, self.gdim), self._converged.place)
+        return np.asarray(apart.reshape(nodes.shape[:2]) <= share * length[:, None])
+
+    def leave_out_shared(self, nodes: Bool) -> None:
+        """Let the multiplier have no part in these of its nodes (nf, nodes), and in all others that it shares with another
+        pair's (collective)."""
+        if not any_over(self.comm, not np.array_equal(nodes, self._out_as_shared)):
+            return
+        self._out_as_shared, place = nodes, self._converged.place
+        if isinstance(self.kinematics, StepLevel) or not isinstance(place, np.ndarray):
+            self._leave_out(self._redundant(self.facets.X))
+        else:
+            self._leave_out(self._redundant(self._converged.nodes, place))
+
+    def _leave_out(self, redundant: Bool) -> bool:
+        """Extrapolate these (nf, nodes, components) of the multiplier's nodes; whether that is a change (collective)."""
         if not self.multiplier.leave_out(redundant):
             return False
         self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))

@@ -183,8 +183,7 @@ class NewtonSolver:
         self._law_since, self._set_since = 0, 0
         self._bounds.begin()
         self._slides = Slides(p, self.linear.response, self.rtol, longest=LONGEST, may_trust=may_trust)
-        for pair in p.pairs:
-            pair.begin()
+        p.begin()
         p.start_ties()
         self._linear_start = p.stopwatch.clock()
         self._tension = FIRST_TENSION if p.lacks_stiffness else 0.0

@@ -34,6 +34,7 @@ from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_
 from dolfinx_mortar_al.pieces import Piece
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
+from dolfinx_mortar_al.shared_nodes import SharedNodes
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.ties import Bearing, Ties
 from dolfinx_mortar_al.validation import check_names, joint_thickness, listed
@@ -211,6 +212,8 @@ class ContactProblem:
         for pair in self.pairs:
             pair.set_stiffness(self.bodies.yielding)
             pair.start()
+        self._shared_nodes = SharedNodes(self.pairs)
+        self._shared_nodes.leave_out(everywhere=bool(self.motions))
         for pair in self.pairs:
             pair.check_behind()
         found = [finding for pair in self.pairs if (finding := pair.overlap_at_start()) is not None]
@@ -705,6 +708,13 @@ class ContactProblem:
             self._touched * len(self.pairs),
             self._contact_motions.rubbing,
         )
+
+    def begin(self) -> None:
+        """A new solve (collective)."""
+        if not self.motions:  # time steps need one space of multipliers
+            self._shared_nodes.leave_out(everywhere=False)
+        for pair in self.pairs:
+            pair.begin()
 
     def start_ties(self) -> None:
         """At the start of a solve: along motions that next to nothing resisted in the last equilibrium, or before the first

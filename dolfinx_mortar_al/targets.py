@@ -96,6 +96,10 @@ class Target(ABC):
         """The target's closest points to 𝐱 (n, gdim), whether they are faced or not."""
 
     @abstractmethod
+    def distances(self, x: Array, place: Place) -> Array:
+        """(n,) from positions 𝐱 (n, gdim) to the target when it is, or was, at a place (m)."""
+
+    @abstractmethod
     def faced(self, points: ContactorPoints, nodes: Array) -> tuple[TargetPoint, NDArray[np.bool_]]:
         """Material points that `points` face, or else the closest ones, with the target's nodes at `nodes` (m); (n,) which
         are faced."""
@@ -237,6 +241,10 @@ class DeformableTarget(Target):
     def closest(self, x: Array) -> ClosestPoint:
         return self._closest(x, self._nodes)
 
+    def distances(self, x: Array, place: Place) -> Array:
+        assert isinstance(place, np.ndarray)
+        return np.asarray(np.linalg.norm(x - self._closest(x, place).y, axis=1))
+
     def _closest(self, x: Array, nodes: Array) -> ClosestPoint:
         return project(self.surface, nodes, x, candidates(x, nodes[self.facets], 0.0))
 
@@ -307,6 +315,11 @@ class RigidTarget(Target):
 
     def closest(self, x: Array) -> ClosestPoint:
         return self.obstacle.project(x)
+
+    def distances(self, x: Array, place: Place) -> Array:
+        assert isinstance(place, Pose)
+        moved = self.obstacle.carried(x, place)
+        return np.asarray(np.linalg.norm(moved - self.obstacle.project(moved).y, axis=1))
 
     def weights(self, point: TargetPoint) -> Array:
         return np.zeros((len(point.facet), 0))

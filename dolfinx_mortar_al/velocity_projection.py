@@ -30,6 +30,7 @@ from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_
 from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.reductions import all_over, any_over, sum_over
 from dolfinx_mortar_al.step_level import StepLevel
+from dolfinx_mortar_al.stepping import StepFailure
 from dolfinx_mortar_al.supports import Supports
 
 __all__ = ["Settled", "VelocityProjection"]
@@ -41,6 +42,10 @@ Bool = NDArray[np.bool_]
 _ADD = PETSc.InsertMode.ADD
 
 CONE = 1e-10  # share of the bound by which round-off may leave Coulomb's cone
+UNDETERMINED = (
+    "what persistent contact leaves of the velocities after a step is not determined: contacts that stick hold the same "
+    "nodes more than once; leave the facets at which their contactors meet out of one of them"
+)
 PASSES = 4  # rounds in which sticking points are let slip; after them all are
 
 
@@ -164,6 +169,8 @@ class VelocityProjection:
         right = PETSc.Vec().createNest(vectors, comm=problem.comm)
         self._solver.setOperators(self._nest)
         self._solver.solve(right, solution := right.duplicate())
+        if not np.isfinite(solution.norm()):
+            raise StepFailure(UNDETERMINED)
         δv, *multipliers = solution.getNestSubVecs()
         # −𝐈·𝐆(𝐯 + 𝐯*)/2, relative to obstacles, is 𝐈·(𝐫 + 𝐃𝐈)/2 with the right-hand side 𝐫 = −𝐆𝐯*
         lost = 0.0
