@@ -31,7 +31,7 @@ FIRST = 1.0  # δ of the first step
 CHANGE = 4.0  # of δ from step to step
 LEAST = 1e-5  # δ below which a step is taken without dashpots; where loose bodies come down
 NEAR = 0.01  # only if no larger share of the forces was off balance where the last one began: what falls still goes on
-SETTLES = 0.5  # nor, once one has failed, if no less was than where that began: what moves on does not come to rest
+SETTLES = 0.5  # nor, once one has failed, before less is, or bodies move less, than where that began: what moves on does not rest
 MOST = 100.0  # δ beyond which it is not for want of time that steps fail
 MAX_STEPS = 80  # after which the bodies count as moving on for good
 
@@ -43,12 +43,14 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
     k, δ, iterations = problem.nodal_stiffness(), FIRST, 0
     rests, last = False, -1.0  # how far the last step moved the bodies (m), none so far
     comes_down = problem.is_at_start
-    # the share of the forces that was off balance where the last step began, and where the last without dashpots did in vain
-    off, tried = 1.0, np.inf
+    # the share of the forces that was off balance where the last step began, and where the last without dashpots did in vain,
+    # with how far the step before that one had moved the bodies (m)
+    off, tried, tried_way = 1.0, np.inf, np.inf
     began, farthest = problem.bodies.get(), np.inf if comes_down else problem.bodies.diameter()
     for _ in range(MAX_STEPS):
         before, since = problem.snapshot(), problem.bodies.get()
-        slowed = δ > LEAST or (comes_down and off > NEAR) or off > SETTLES * tried
+        settles = off <= SETTLES * tried or 0.0 <= last <= SETTLES * tried_way
+        slowed = δ > LEAST or (comes_down and off > NEAR) or not settles
         problem.dashpots = Dashpots(δ * k, since) if slowed else None
         try:
             result = solver.solve()
@@ -68,7 +70,7 @@ def relax(problem: ContactProblem, solver: NewtonSolver) -> NewtonResult:
             last, off = way, max(result.norms[0]) * solver.rtol
         else:
             problem.restore(before)
-            tried = tried if slowed else off
+            tried, tried_way = (tried, tried_way) if slowed else (off, last)
             δ, last = δ * CHANGE, -1.0
     result.converged, result.iterations = rests, iterations
     return result
