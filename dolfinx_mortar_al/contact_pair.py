@@ -260,7 +260,6 @@ class ContactPair(PairFindings):
             if self.target.is_contactor:  # whose own clamped face may be plane
                 planes &= ~np.asarray(fixed[facet, node].all(axis=1))[:, None]
             fixed[facet, node] &= (near[:, None] & given) | planes
-        fixed |= self._out_as_shared[:, :, None]
         return fixed if self.friction else np.asarray(fixed.all(axis=2, keepdims=True))
 
     def _leave_out_redundant(self, contactor: Array, place: Place) -> bool:
@@ -284,20 +283,29 @@ class ContactPair(PairFindings):
         apart = self.target.distances(nodes.reshape(-1, self.gdim), self._converged.place)
         return np.asarray(apart.reshape(nodes.shape[:2]) <= share * length[:, None])
 
+    def held(self) -> Bool:
+        """(nf, nodes) nodes at which supports leave the multiplier nothing to enforce, in the last equilibrium."""
+        return np.asarray(self._redundant(*self._last_places()).all(axis=2))
+
     def leave_out_shared(self, nodes: Bool) -> None:
         """Let the multiplier have no part in these of its nodes (nf, nodes), and in all others that it shares with another
         pair's (collective)."""
-        if not any_over(self.comm, not np.array_equal(nodes, self._out_as_shared)):
-            return
-        self._out_as_shared, place = nodes, self._converged.place
+        if any_over(self.comm, not np.array_equal(nodes, self._out_as_shared)):
+            self._out_as_shared = nodes
+            self._leave_out(self._redundant(*self._last_places()))
+
+    def _last_places(self) -> tuple[Array, Array | None]:
+        """Where redundant nodes are looked for: (nf, nodes, gdim) and (nodes, gdim) nodes of both sides in the last
+        equilibrium (m), of a target that deforms; None for its undeformed ones."""
+        place = self._converged.place
         if isinstance(self.kinematics, StepLevel) or not isinstance(place, np.ndarray):
-            self._leave_out(self._redundant(self.facets.X))
-        else:
-            self._leave_out(self._redundant(self._converged.nodes, place))
+            return self.facets.X, None
+        return self._converged.nodes, place
 
     def _leave_out(self, redundant: Bool) -> bool:
-        """Extrapolate these (nf, nodes, components) of the multiplier's nodes; whether that is a change (collective)."""
-        if not self.multiplier.leave_out(redundant):
+        """Extrapolate these (nf, nodes, components) of the multiplier's nodes, and shared ones; whether that is a change
+        (collective)."""
+        if not self.multiplier.leave_out(redundant | self._out_as_shared[:, :, None]):
             return False
         self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))
         self.blocks.renew()

@@ -25,6 +25,9 @@ STORED = 0.01  # of the round-off of a body's forces times its size: that of its
 DEPTH = 0.25
 SWING = 0.01  # of the prescribed velocities: what round-off and their differences at the start leave is less
 TURNS = 3  # of a velocity in as many steps that are no vibration
+STILL = (
+    1e-12  # of the velocity that all energy would give the bodies: the velocities of a support at rest are round-off
+)
 # of the energy in a step, beside what supports and obstacles put in meanwhile, half of which is lost where they meet what is
 # at rest: as much as the row of nodes that lands of a body five cells high has
 LOSS = 0.1
@@ -91,7 +94,7 @@ class DriftMonitor:
         self._last = ledger
         if lost - max(put_in, 0.0) > LOSS * energy + self._round_off:
             found.append(("impact loss (share of the energy)", lost / energy, LOST))
-        if swing := self._swing():
+        if swing := self._swing(np.sqrt(2 * energy / self._mass) if self._mass > 0 else 0.0):
             found.append(("prescribed velocity's swing (m/s)", swing, SWINGS))
         scale = np.sqrt(2 * self._mass * energy)  # the momentum of all if all of the energy were kinetic
         moved = np.abs(np.subtract(ledger.momentum, start.momentum))[self._free].max(initial=0.0)
@@ -106,8 +109,9 @@ class DriftMonitor:
                 found.append((f"{pair.name}: penetration (target facets)", share, DEEP))
         return [Finding(name, float(value), (), meaning, False) for name, value, meaning in found]
 
-    def _swing(self) -> float:
-        """By how much prescribed velocities go to and fro from step to step (m/s), 0 where they do not (collective)."""
+    def _swing(self, speed: float) -> float:
+        """By how much prescribed velocities go to and fro from step to step (m/s), 0 where they do not, or by no more than
+        round-off of a `speed` (m/s) of the bodies (collective)."""
         if not self._any_prescribed:
             return 0.0
         now = [m.velocity.x.array[some] for m, some in zip(self._motions, self._prescribed, strict=True)]
@@ -122,7 +126,8 @@ class DriftMonitor:
         largest, turn = max(sums[: TURNS + 1]), max(sums[TURNS + 1 :])
         if size <= SWING**2 * largest or turn > -0.9 * size:
             return 0.0
-        return max_over(self._problem.comm, float(np.abs(changes[-1]).max(initial=0.0)))
+        swing = max_over(self._problem.comm, float(np.abs(changes[-1]).max(initial=0.0)))
+        return swing if swing > STILL * speed else 0.0
 
     def _is_driven(self) -> bool:
         """Whether a prescribed displacement moves (collective)."""

@@ -48,11 +48,13 @@ class Load(ABC):
         source: the Constant, Function or function.
         label: its kind or name, without a dot; among a problem's loads with a number.
         moved: (components,) by how much the last step has moved it; None if it has not.
+        moves_others: whether it is a function, which may set what is another load's.
     """
 
     source: Any
     label: str
     moved: Array | None = None
+    moves_others = False
 
     @property
     @abstractmethod
@@ -160,6 +162,8 @@ class _FunctionLoad(Load):
 
 class _CalledLoad(Load):
     """A function of one number; 0 before it was called. `called`: such loads that were, the last one at the end."""
+
+    moves_others = True
 
     def __init__(self, source: Callable[[float], None], called: list[_CalledLoad]) -> None:
         check_callable("load", source, "the load")

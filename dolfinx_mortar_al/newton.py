@@ -130,7 +130,8 @@ class NewtonSolver:
         snes.setFunction(self._function, problem.residual)
         snes.setJacobian(self._jacobian, problem.matrix)
         snes.setConvergenceTest(self._test)
-        snes.setTolerances(max_it=max_iterations)
+        # after a line search that has failed SNES takes a small step for convergence, whatever its test says
+        snes.setTolerances(stol=0.0, max_it=max_iterations)
         snes.setUpdate(self._update)
         snes.setLineSearchPreCheck(self._guard)
         self.linear.configure(snes.getKSP())
@@ -198,7 +199,7 @@ class NewtonSolver:
                     raise
                 return self._singular()
         reason = self.snes.getConvergedReason()
-        self.result.converged = reason > 0 and not self._stale
+        self.result.converged = reason == _Reason.CONVERGED_FNORM_ABS and not self._stale
         self.result.leapt = self._bounds.leave
         if self.result.converged:
             p.unpack(p.x)
@@ -533,6 +534,7 @@ class NewtonSolver:
         known = {
             _Reason.DIVERGED_MAX_IT: "no convergence",
             _Reason.DIVERGED_LINEAR_SOLVE: "the linear solve failed",
+            _Reason.DIVERGED_LINE_SEARCH: "the line search of the options found nothing better",
             NOT_FINITE: "the residual became infinite or not a number",
         }
         why = known.get(reason, f"SNES stopped with reason {reason}")

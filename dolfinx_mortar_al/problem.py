@@ -213,7 +213,8 @@ class ContactProblem:
             pair.set_stiffness(self.bodies.yielding)
             pair.start()
         self._shared_nodes = SharedNodes(self.pairs)
-        self._shared_nodes.leave_out(everywhere=bool(self.motions))
+        if self.motions:
+            self._shared_nodes.leave_out(everywhere=True)
         for pair in self.pairs:
             pair.check_behind()
         found = [finding for pair in self.pairs if (finding := pair.overlap_at_start()) is not None]

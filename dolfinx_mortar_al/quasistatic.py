@@ -357,7 +357,9 @@ def _legs(problem: ContactProblem, stages: Sequence[Stage], start: float | None 
         agreed(problem.comm, f"{where}load: its present value", begin)
         earlier = next((one for one in reversed(legs[done:]) if one.load is load), None)
         before = leg.start if leg.start is not None else load.value if earlier is None else earlier.end
-        chosen = earlier is not None and stages[legs.index(earlier)].until is not None  # where it ends, by an event
+        # where it stands then an event says, or a function that may move other loads
+        chosen = earlier is not None and stages[legs.index(earlier)].until is not None
+        chosen = chosen or any(one.load.moves_others for one in legs[done:] if one.load is not load)
         if k >= done and not chosen and start is None and _alike(problem, before, leg.end):
             at = f" {float(before[0]):g}" if load.is_number else ""
             raise ValueError(f"{where}to = {stage.to}: the load must move away from its present value{at}")

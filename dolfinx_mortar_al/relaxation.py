@@ -31,7 +31,7 @@ FIRST = 1.0  # δ of the first step
 CHANGE = 4.0  # of δ from step to step
 LEAST = 1e-5  # δ below which a step is taken without dashpots; where loose bodies come down
 NEAR = 0.01  # only if no larger share of the forces was off balance where the last one began: what falls still goes on
-SETTLES = 0.5  # nor, once one has failed, before less is, or bodies move less, than where that began: what moves on does not rest
+SETTLES = 0.5  # nor, once one has failed, before less is, or bodies move less, than where it began
 MOST = 100.0  # δ beyond which it is not for want of time that steps fail
 MAX_STEPS = 80  # after which the bodies count as moving on for good
 

@@ -17,8 +17,9 @@ from dolfinx.la import InsertMode
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.reductions import any_over
-from dolfinx_mortar_al.surface import SHARP, Facets, surface_normal
+from dolfinx_mortar_al.reductions import any_over, max_over
+from dolfinx_mortar_al.surface import ASKEW, SHARP, Facets, surface_normal
+from dolfinx_mortar_al.targets import Target
 
 __all__ = ["SharedNodes"]
 
@@ -35,9 +36,13 @@ class Sharer(Protocol):
     friction: bool
     facets: Facets
     multiplier_order: int
+    target: Target
 
     def near(self, share: float) -> Bool:
         """(nf, nodes) which of the contactor's nodes lie within a share of their facet's length from the target."""
+
+    def held(self) -> Bool:
+        """(nf, nodes) nodes at which supports leave the multiplier nothing to enforce."""
 
     def leave_out_shared(self, nodes: Bool) -> None:
         """Let the multiplier have no part in these of its nodes (nf, nodes), and in all others that are shared."""
@@ -68,19 +73,36 @@ class SharedNodes:
                     self._couples.append((pair, other, np.asarray(shared)))
 
     def leave_out(self, everywhere: bool) -> None:
-        """Let multipliers have no part in nodes that they share with others, both touching their targets there, or wherever
-        they are; but a facet keeps one node."""
+        """Let multipliers have no part in nodes that they share with others, where both touch their targets, or `everywhere`
+        that surfaces of two rigid targets meet; but a facet keeps one node, if it can one that no pair before has kept."""
         pairs = {id(pair): pair for pair, _, _ in self._couples}
         near = {
-            k: np.ones(p.facets.dofs.shape, dtype=bool) if everywhere else p.near(TOUCHING) for k, p in pairs.items()
+            k: np.ones(pair.facets.dofs.shape, dtype=bool) if everywhere else pair.near(TOUCHING)
+            for k, pair in pairs.items()
         }
-        out = {k: np.zeros(p.facets.dofs.shape, dtype=bool) for k, p in pairs.items()}
+        out = {k: np.zeros(pair.facets.dofs.shape, dtype=bool) for k, pair in pairs.items()}
         for pair, other, shared in self._couples:
-            out[id(pair)] |= near[id(pair)] & shared & self._marked(pair, other, near[id(other)])
+            theirs = near[id(pair)] & shared & self._marked(pair, other, near[id(other)])
+            if everywhere:  # but not all over a surface that both have
+                common = np.isin(pair.facets.entities, other.facets.entities)[:, None]
+                theirs &= ~self._marked(pair, pair, common & np.ones_like(theirs))
+                theirs &= pair.target.is_rigid and other.target.is_rigid
+            out[id(pair)] |= theirs
+        kept: list[tuple[Sharer, Bool]] = []
         for k, pair in pairs.items():
-            first = np.argmin(pair.facets.dofs, axis=1)[:, None] == np.arange(out[k].shape[1])
-            kept = self._marked(pair, pair, first & out[k].all(axis=1, keepdims=True))
-            pair.leave_out_shared(out[k] & ~kept)
+            mine = self._kept(pair, out[k], kept)
+            pair.leave_out_shared(out[k] & ~mine)
+            kept.append((pair, mine))
+
+    def _kept(self, pair: Sharer, out: Bool, before: Sequence[tuple[Sharer, Bool]]) -> Bool:
+        """(nf, nodes) of the nodes `out` (nf, nodes) of a pair one on each facet of which all would be out, or have nothing
+        to enforce. Which one does not hang on the ranks' parts of the mesh."""
+        held, along = pair.held(), pair.facets.X @ ASKEW[: pair.facets.X.shape[-1]]
+        far = 2.0 * max_over(pair.comm, float(np.abs(along).max(initial=0.0)))
+        taken = np.any([np.zeros_like(out), *(self._marked(pair, *one) for one in before)], axis=0)
+        score = np.where(out & ~held, along + far * taken, np.inf)
+        first = score.argmin(axis=1)[:, None] == np.arange(out.shape[1])
+        return self._marked(pair, pair, first & out & ~held & (out | held).all(axis=1, keepdims=True))
 
     def _marked(self, pair: Sharer, other: Sharer, nodes: Bool) -> Bool:
         """(nf, nodes) which nodes of a pair are among `nodes` (nf, nodes) of another."""

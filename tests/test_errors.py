@@ -13,6 +13,7 @@ import pytest
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
+from petsc4py import PETSc
 from scenes import beams, tip
 
 from dolfinx_mortar_al import (
@@ -776,6 +777,18 @@ def test_petsc_options_come_from_the_command_line(monkeypatch):
     solver = NewtonSolver(problem, prefix="other_")
     assert solver.snes.getTolerances()[3] == 80
     assert solver.solve().converged
+
+
+def test_a_small_step_is_no_convergence(monkeypatch):
+    """A line search that fails, of PETSc's options: SNES takes a step below its `stol` for convergence, 1e9 times off."""
+    problem, P = beams()
+    P.value = 1.0
+    options = ["-short_snes_linesearch_type", "bt", "-short_snes_linesearch_minlambda", ".9", "-short_snes_stol", "1e9"]
+    monkeypatch.setattr(sys, "argv", ["script", *options])
+    solver = NewtonSolver(problem, prefix="short_")
+    result = solver.solve()
+    assert solver.snes.getConvergedReason() == PETSc.SNES.ConvergedReason.CONVERGED_SNORM_RELATIVE
+    assert not result.converged and result.residual > 1e6 * solver.rtol
 
 
 def test_what_is_worst_is_not_what_is_prescribed(monkeypatch):

@@ -143,6 +143,50 @@ def test_four_blocks_that_meet():
     assert sum(forces[name][1] for name in ("floor 0", "floor 1", "press 0", "press 1")) == pytest.approx(0, abs=1e-3)
 
 
+@pytest.mark.one_rank
+def test_a_pad_one_cell_thick():
+    """Clamped on top and squeezed between a floor and walls: at its ends supports hold one node, and the floor's pair shares
+    the other one, which a wall keeps. Forces are half of order 2's on such cells."""
+    walls = {}
+    for order in (1, 2):
+        domain = create_rectangle(MPI.COMM_WORLD, [[0.0, 0.0], [1.0, 0.05]], [6, 1], CellType.quadrilateral)
+        u, sides = surfaces(domain, order, {"bottom": (1, 0.0), "right": (0, 1.0), "left": (0, 0.0)})
+        lowered = fem.Function(u.function_space)
+        top = fem.locate_dofs_geometrical(u.function_space, lambda X: np.isclose(X[1], 0.05))
+        planes = {
+            "bottom": obstacles.RigidPlane([0.0, 0.0], [0.0, 1.0]),
+            "right": obstacles.RigidPlane([1.0, 0.0], [-1.0, 0.0]),
+            "left": obstacles.RigidPlane([0.0, 0.0], [1.0, 0.0]),
+        }
+        contacts = [Contact(sides[name], plane, friction=0.3, name=name) for name, plane in planes.items()]
+        problem = ContactProblem(Body(u, LAW, bcs=[fem.dirichletbc(lowered, top)]), contacts=contacts)
+
+        def lower(s, lowered=lowered):
+            lowered.interpolate(lambda X: np.stack([0.0 * X[0], -0.0125 * s + 0.0 * X[0]]))
+
+        effort = press(problem, lower)
+        assert effort[1] == 0 and effort[0] <= 12  # it failed at a quarter of the way
+        left, right = problem.pair("left").force(), problem.pair("right").force()
+        assert left[0] == pytest.approx(-right[0], rel=1e-6)
+        walls[order] = left[0]
+    assert walls[1] > 0.25 * walls[2]
+
+
+@pytest.mark.one_rank
+def test_a_plane_far_off_changes_nothing_in_motion():
+    """The same face has a second pair with a plane that it never comes near."""
+    ends = []
+    for far in (False, True):
+        u, sides = square(5, 1)
+        motion = dynamics.Motion(Body(u, LAW, density=1000.0), step=4e-3)
+        motion.velocity.interpolate(lambda X: np.stack([0 * X[0], -2.0 + 0 * X[0]]))
+        planes = [obstacles.RigidPlane([0.0, y], [0.0, 1.0]) for y in (-0.02, -50.0)[: 1 + far]]
+        contacts = [Contact(sides["bottom"], plane, friction=0.3) for plane in planes]
+        *_, last = dynamics.march(ContactProblem(motion, contacts=contacts), to=0.04)
+        ends.append([*last.ledger.momentum, last.ledger.kinetic, last.ledger.friction_dissipation])
+    assert np.allclose(*ends, rtol=1e-9, atol=1e-9)
+
+
 def test_a_block_flies_into_a_rough_corner():
     """Velocities stay numbers, momentum is what the walls give, and energy only falls."""
     u, sides = square(4, 1)

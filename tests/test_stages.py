@@ -120,6 +120,18 @@ def test_a_load_goes_on_from_where_it_stands():
     assert block.problem.pairs[0].closed_fraction() == 0.0
 
 
+def test_a_function_may_move_the_load_of_a_later_stage():
+    """It presses and drags; then the Constant that it has set goes back to where it was before the march."""
+    block = Block()
+
+    def both(s):
+        block.top.value[:] = 0.0, -s * DEPTH
+
+    stages = [Stage(both, to=1.0, increments=2), Stage(block.top, to=(0.0, 0.0), increments=1)]
+    forces = [block.force()[1] for _ in quasistatic.march(block.problem, stages)]
+    assert forces[1] > 0.0 and abs(forces[2]) < 1e-9 * forces[1]
+
+
 def test_a_stage_ends_at_its_event():
     """Pressed until 15 N are reached, closed in on to 1/64 of an increment, then dragged from there."""
     block = Block()
