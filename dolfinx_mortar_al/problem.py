@@ -615,6 +615,11 @@ class ContactProblem:
         quiet = [pair for pair in self.pairs if not any(f.name.startswith(f"{pair.name}: ") for f in said)]
         return [pair.never_met() for pair in quiet if not pair.target.is_contactor]
 
+    def narrow_zones(self) -> list[Finding]:
+        """Of a state that is left, contacts that their facets do not resolve: each begins with such (collective)."""
+        looks = [pair.narrow_zone() for pair in self.pairs]
+        return [finding for finding in looks if finding is not None]
+
     def has_thrown_off(self) -> bool:
         """Whether a piece that contact alone holds is far from where the last solve began, and nothing touches it
         (collective)."""

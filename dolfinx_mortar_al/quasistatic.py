@@ -137,12 +137,13 @@ def equilibrate(problem: ContactProblem, *, solver: NewtonSolver | None = None) 
         raise StepFailure(f"no convergence in the loads as they stand: {attempt.message}{attempt.newton.advice}")
     problem.loads.note(None)
     problem.commit()
-    Reporter(problem.comm.rank).report(attempt.findings, "the loads as they stand")
+    findings = (*attempt.findings, *problem.narrow_zones())
+    Reporter(problem.comm.rank).report(findings, "the loads as they stand")
     return Step(
         iterations=attempt.newton.iterations,
         wall_time=perf_counter() - clock,
         nominal=True,
-        findings=tuple(attempt.findings),
+        findings=findings,
         load=0.0,
         stage=0,
         path=0.0,
@@ -601,6 +602,7 @@ class _LoadControl(Controller[Step]):
             self._turn()
         if over or self._over:
             leg.watch.report()
+            done = replace(done, findings=(*done.findings, *self.problem.narrow_zones()))
         self._path = stage + (1.0 if over else leg.x / leg.increments)
         self._met = self._met or self.problem.is_in_contact()
         if self.leg >= len(self._legs) and not (self._met or self._leg_over or self._over):

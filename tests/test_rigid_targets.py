@@ -136,6 +136,16 @@ def test_a_disc_as_small_as_a_facet_is_felt():
     assert abs(disc_on_block(8, radius, 1)) < 0.5 * abs(fine[0])
 
 
+@pytest.mark.parametrize("cells, at, said", [(8, 0.0625, True), (64, 0.0625, False), (8, 0.5, False)])
+def test_a_contact_narrower_than_a_facet_is_said(cells, at, said):
+    """Of a disc of three of eight facets' radius, pressed in by .01 of it amid a facet, when the stage is over; not on 64
+    facets, and not at the block's end, where any contact is narrow."""
+    disc = obstacles.RigidSphere([at, 0.375], 0.375)
+    steps = quasistatic.march(block(disc, cells=cells), lambda t: disc.move([0.0, -0.00375 * t]), to=1.0, increments=2)
+    found = [[finding.name == "contact: width of the contact (facets)" for finding in step.findings] for step in steps]
+    assert [any(names) for names in found] == [False, said]
+
+
 @pytest.mark.one_rank
 def test_the_order_of_multipliers_follows_the_radius_in_facets():
     """The displacement's on a disc of less than two facets, or one whose own facets turn by as much."""
