@@ -145,6 +145,7 @@ def midpoint_error(problem, state):
     return np.linalg.norm(u - exact) / np.linalg.norm(exact)
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize("pressure, cells", [(3500.0, 200), (4023.0, 160)])
 def test_without_friction_the_exact_solution_is_met(pressure, cells):
     """P2: below 1e-5 of the midpoint's displacement, and of the length of a membrane; facet means of the traction in the
@@ -178,6 +179,7 @@ def test_any_steps_give_the_same_frictionless_answer():
     assert np.allclose(found[0], found[1], atol=1e-7)
 
 
+@pytest.mark.one_rank
 def test_with_friction_the_slipping_branch_is_met():
     """μ = 0.5 at 3500 and 4023 Pa, P2 with 80 cells: 1e-4 of the midpoint's displacement (measured: 3e-5)."""
     problem, p = membranes(cells=(80, 80), friction=0.5)

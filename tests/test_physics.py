@@ -170,6 +170,7 @@ def test_units_do_not_matter(dim):
     assert np.allclose(millimetres.pairs[0].force(), force, rtol=1e3 * at_end, atol=1e-9 * np.linalg.norm(force))
 
 
+@pytest.mark.one_rank
 @pytest.mark.parametrize(
     "multiplier_order, facets, factors", [(1, 80, (1e-2, 1.0, 1e2)), (2, 40, (1e-3, 1.0, 1e3))], ids=["P1", "P2"]
 )

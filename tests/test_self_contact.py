@@ -264,6 +264,7 @@ def coil(whole, n=24):
     return ContactProblem(F, u, bcs=bcs, contacts=[contact]), move
 
 
+@pytest.mark.one_rank
 @pytest.mark.filterwarnings("ignore::dolfinx_mortar_al.monitors.ModelWarning")
 def test_coil_against_a_pair_of_its_parts():
     """The lower face of a thin strip's end comes to lie on the upper face of its start, each beside its own far side: the
