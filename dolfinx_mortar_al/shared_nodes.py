@@ -53,11 +53,13 @@ class SharedNodes:
 
     Args:
         pairs: of a problem. Multipliers of a lower order than the displacement leave it enough between its corners; two
-            without friction hold different components where their surfaces meet at a sharp angle.
+            without friction hold different components where their surfaces meet at a sharp angle; a surface in contact with
+            itself is near its target everywhere, whatever it touches.
     """
 
     def __init__(self, pairs: Sequence[Sharer]) -> None:
-        equal = [pair for pair in pairs if pair.multiplier_order == pair.facets.shape.order]
+        others = [pair for pair in pairs if not pair.target.is_contactor]
+        equal = [pair for pair in others if pair.multiplier_order == pair.facets.shape.order]
         self._values = {id(pair.facets.space): fem.Function(pair.facets.space) for pair in equal}
         normals = [_normals(pair.facets) for pair in equal]
         #: pairs, others, and (nf, nodes) which nodes of the first are the other's, too
