@@ -917,8 +917,9 @@ class ContactPair(PairFindings):
 
     def _λN_hat_at_gauss(self) -> Array:
         """(ng,) λ̂_N (Pa) at the Gauss points, which stay where they are while segments move."""
-        points = self.gauss
-        at = self.target.project(contactor_points(points, self.kinematics.nodes()))
+        points, target = self.gauss, self.target
+        assert isinstance(target, DeformableTarget)  # others have no segments
+        at = target.project_once(contactor_points(points, self.kinematics.nodes()), target.nodes)
         nodal, out = self.multiplier.own_nodal(), self.blocks.left_out_at_corners
         nodal = nodal if out is None else np.where(out[:, :, None], 0.0, nodal)
         Λ = (self.multiplier.at(points.facet, points.η) * nodal[points.facet]).sum(axis=1)

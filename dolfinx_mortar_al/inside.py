@@ -47,7 +47,7 @@ class Inside:
         along = (y - x) / np.maximum(length, 1e-300)[:, None]
         surface = boundary.surface
         nodes = boundary.nodes[surface.facets]
-        found = hits(surface.shape, nodes, x, along, *ray_candidates(x, along, nodes, 0.0)[:2])
+        found = hits(surface.shape, nodes, x, along, *ray_candidates(x, along, nodes, 0.0))
         slack = AT_SURFACE * surface.size_of_facets
         result = length > slack
         result[found.row[(found.d > slack) & (found.d < length[found.row] - slack)]] = False
@@ -57,7 +57,7 @@ class Inside:
         """(n,) whether a line from 𝐱 (n, gdim) leaves the body once more than it enters it."""
         surface, nodes = boundary.surface, boundary.nodes[boundary.surface.facets]
         way = np.tile(ANY_WAY[: x.shape[1]] / np.linalg.norm(ANY_WAY[: x.shape[1]]), (len(x), 1))
-        found = hits(surface.shape, nodes, x, way, *ray_candidates(x, way, nodes, 0.0)[:2])
+        found = hits(surface.shape, nodes, x, way, *ray_candidates(x, way, nodes, 0.0))
         m = surface_normal(found.dN @ nodes[found.facet]) * surface.orientation[found.facet, None]
         leaves = np.where(found.d > 0.0, np.sign(dot(m, way[found.row])), 0.0)
         return np.asarray(np.bincount(found.row, leaves, minlength=len(x)) > 0.0)

@@ -217,7 +217,7 @@ class Kinematics(ABC):
             then = contactor_points(points, contactor).at(anew)
             found, facing = self.target.faced(then, target)
             point.facet[anew], point.η[anew] = found.facet, found.η
-            apart = self.apart(found, facing, then.x, target, self.last.owed_at(points)[anew])
+            apart = self.apart(found, facing, then.x, target, self.last.owed_at(points, anew))
             ρ[anew] = 0.0 if apart is None else apart
         self.set_history(point, ρ)
 

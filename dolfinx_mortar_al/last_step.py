@@ -40,10 +40,13 @@ class LastStep:
         """Before the first one."""
         return cls(points, history, ρ, np.zeros_like(ρ), np.zeros(points.size, dtype=bool))
 
-    def owed_at(self, points: IntegrationPoints) -> Array:
-        """(n, gdim) what is `owed` at other points: between those that it is known of, as the nearest of them may change with
-        the last digit of where points are."""
-        return self.owed if points is self.points else self.points.between(self.owed, points.facet, points.η)
+    def owed_at(self, points: IntegrationPoints, which: Index | None = None) -> Array:
+        """(n, gdim) what is `owed` at other points, or at some of them: between those that it is known of, as the nearest of
+        them may change with the last digit of where points are."""
+        if points is self.points:
+            return self.owed if which is None else self.owed[which]
+        facet, η = (points.facet, points.η) if which is None else (points.facet[which], points.η[which])
+        return self.points.between(self.owed, facet, η)
 
     def stuck_at(self, points: IntegrationPoints) -> Bool:
         """(n,) of other points, whether the nearest sticks."""

@@ -1,7 +1,8 @@
 """Broad phase: which target facets can hold the closest point of each contactor point, or meet its ray.
 
-Candidates are found with a margin and stay valid until points, nodes or rays have moved by it, or a quarter of it. Points are
-looked at in groups of neighbours: the facets that a group can have to do with are few, however large the target.
+Candidates are found with a margin and stay valid until points, nodes or rays have moved by it, or a quarter of it, or rays
+have turned. Points are looked at in groups of neighbours: the facets that a group can have to do with are few, however large
+the target.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ GROUP, BATCH = (
     128,
     2**18,
 )  # fewest points, and couples with all facets, looked at together: less makes more steps than work
-MARGIN = 0.25  # of a facet, by which things may move until rays are searched anew
+MARGIN = 0.25  # of a facet, by which things may move until rays are searched anew,
+TURN = 0.05  # and by which rays may turn (rad): as much for facets that are five of them away
 BULGE = {1: 1e-9, 2: 0.35}  # by order: what a facet leaves its nodes' box by, over the box; a patch by a third at most
 LEBESGUE = {1: 1.0, 2: 5.0 / 3.0}  # by order: motion of a facet's points over that of its nodes, at most
 BITS = 10  # of each coordinate along the curve that groups are cut from
@@ -98,9 +100,9 @@ def candidates(x: Array, facets: Array, margin: float) -> Index:
     return _table(np.concatenate(rows), np.concatenate(columns), len(x))
 
 
-def ray_candidates(x: Array, normal: Array, facets: Array, margin: float) -> tuple[Index, Index, Array]:
-    """Couples of points (m,), ascending, and facets (m,) within `margin` (m) of the lines through 𝐱 along `normal`; and (n,)
-    a length (m) that turns of a line are multiplied with: to its farthest facet, or twice to the nearest one.
+def ray_candidates(x: Array, normal: Array, facets: Array, margin: float, turn: float = 0.0) -> tuple[Index, Index]:
+    """Couples of points (m,), ascending, and facets (m,) within `margin` (m) of the lines through 𝐱 along `normal`, or of
+    those that differ from them by a `turn` (rad).
 
     Args:
         x: (n, gdim) points; normal: (n, gdim) unit vectors.
@@ -109,32 +111,24 @@ def ray_candidates(x: Array, normal: Array, facets: Array, margin: float) -> tup
     centre, radius = balls(facets)
     rows: list[Index] = [np.empty(0, dtype=np.int64)]
     columns: list[Index] = [np.empty(0, dtype=np.int64)]
-    reach = np.zeros(len(x))
     for group in _groups(x, len(centre)):
         middle, n = x[group].mean(axis=0), normal[group]
         near: Index = np.arange(len(centre))
         if len(group) < len(x):
-            near = near[_near_lines(x[group] - middle, n, centre - middle, radius + margin)]
+            near = near[_near_lines(x[group] - middle, n, centre - middle, radius, margin, turn)]
         p, c = x[group] - middle, centre[near] - middle
         axes = np.moveaxis(across(n), 1, 0)
         beside = [e @ c.T - dot(p, e)[:, None] for e in axes]
         squared = beside[0] ** 2 if len(beside) == 1 else beside[0] ** 2 + beside[1] ** 2
-        i, j = where(squared <= (radius[near] + margin) ** 2)
-        distance = np.linalg.norm(c[j] - p[i], axis=1)
-        first = np.flatnonzero(np.r_[True, i[1:] > i[:-1]][: len(i)])
-        farthest, nearest = np.zeros(len(group)), np.full(len(group), np.inf)
-        if len(first):
-            farthest[i[first]] = np.maximum.reduceat(distance, first)
-            nearest[i[first]] = np.minimum.reduceat(distance, first)
-        alone = np.flatnonzero(np.isinf(nearest))
-        if len(alone):
-            nearest[alone] = np.sqrt(_squared_distances(p[alone], c).min(axis=1))
-        reach[group] = np.maximum(farthest, 2 * nearest)
+        reach: Array = radius[near] + margin
+        if turn:
+            reach = reach + turn * (np.sqrt(_squared_distances(p, c)) + radius[near])
+        i, j = where(squared <= reach**2)
         rows.append(group[i])
         columns.append(near[j])
     row, column = np.concatenate(rows), np.concatenate(columns)
     order = np.argsort(row, kind="stable")
-    return row[order], column[order], reach
+    return row[order], column[order]
 
 
 def across(normal: Array) -> Array:
@@ -159,9 +153,9 @@ def _spread(x: Array) -> float:
     return float(np.linalg.norm(x, axis=1).max())
 
 
-def _near_lines(x: Array, normal: Array, centre: Array, reach: Array) -> NDArray[np.bool_]:
-    """(nf,) balls around `centre` (nf, gdim) of radius `reach` (nf,) that some line through 𝐱 (n, gdim) may meet, and those
-    whose centre may be the nearest to some 𝐱; the points' mean is the origin.
+def _near_lines(x: Array, normal: Array, centre: Array, radius: Array, margin: float, turn: float) -> NDArray[np.bool_]:
+    """(nf,) balls around `centre` (nf, gdim) of `radius` (nf,) that some line through 𝐱 (n, gdim), moved by `margin` (m) and
+    by a `turn` (rad), may meet; the points' mean is the origin.
 
     With the points' spread ρ, a direction 𝐦 and δ = max |𝐧 − 𝐦| a centre 𝐟 is at most ρ + δ |𝐟| nearer to a line than to that
     through the origin along 𝐦.
@@ -170,8 +164,8 @@ def _near_lines(x: Array, normal: Array, centre: Array, reach: Array) -> NDArray
     turned = min(1.0, _spread(normal - m))
     far, along = np.linalg.norm(centre, axis=1), centre @ m
     beside = np.sqrt(np.maximum(far**2 - along**2, 0.0))
-    beyond = (beside > reach + spread + turned * far) & (far > far.min() + 2 * spread)
-    return ~beyond  # what is no number is near to all
+    reach = radius + margin + turn * (far + spread + radius)
+    return ~(beside > reach + spread + turned * far)  # what is no number is near to all
 
 
 @dataclass
@@ -197,42 +191,49 @@ class CandidateSearch:
 @dataclass
 class RaySearch:
     """Keeps couples of rays and facets near them, each with the distance between both. A couple needs to be looked at when
-    points, nodes and rays have moved by that distance; all are found anew when they have moved by more than the margin."""
+    its point, ray and nodes have moved by that distance; all are found anew when some have moved or turned by more than what
+    they were found with."""
 
     target: GatheredFacets
     rebuilds: int = 0
     _row: Index = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     _facet: Index = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     _clearance: Array = field(default_factory=lambda: np.empty(0))
+    _lever: Array = field(default_factory=lambda: np.empty(0))
     _x: Array | None = None
     _normal: Array = field(default_factory=lambda: np.empty(0))
     _nodes: Array = field(default_factory=lambda: np.empty(0))
-    _reach: Array = field(default_factory=lambda: np.empty(0))
 
     def __call__(self, x: Array, normal: Array, nodes: Array) -> tuple[Index, Index]:
         """Couples of rays (m,), ascending, from `x` along `normal`, and facets (m,) that they may meet, the target's nodes at
         `nodes`."""
-        margin, order = MARGIN * self.target.size_of_facets, self.target.shape.order
-        moved = self._moved(x, normal, nodes)
-        if not moved <= margin:
-            facets = nodes[self.target.facets]
-            row, facet, self._reach = ray_candidates(x, normal, facets, margin)
-            distance = clearance(order, x[row], normal[row], facets[facet])
-            kept = distance <= margin
-            self._row, self._facet, self._clearance = row[kept], facet[kept], distance[kept]
-            self._x, self._normal, self._nodes = x.copy(), normal.copy(), nodes.copy()
-            self.rebuilds += 1
-            moved = 0.0
-        now = self._clearance <= moved
+        margin = MARGIN * self.target.size_of_facets
+        moved, turned = self._moved(x, normal, nodes)
+        if not (_largest(moved) <= margin and _largest(turned) <= TURN):
+            self._find(x, normal, nodes, margin)
+            moved = turned = np.zeros(len(x))
+        now = self._clearance <= moved[self._row] + turned[self._row] * self._lever
         return self._row[now], self._facet[now]
 
-    def _moved(self, x: Array, normal: Array, nodes: Array) -> float:
-        """How much (m) a facet may have come nearer to a ray; infinite where that is not known."""
+    def _find(self, x: Array, normal: Array, nodes: Array, margin: float) -> None:
+        """All couples that count until something has moved by the margin (m), or turned by TURN."""
+        facets = nodes[self.target.facets]
+        row, facet = ray_candidates(x, normal, facets, margin, TURN)
+        distance = clearance(self.target.shape.order, x[row], normal[row], facets[facet])
+        centre, radius = balls(facets)
+        lever = np.linalg.norm(centre[facet] - x[row], axis=1) + radius[facet]
+        kept = distance <= margin + TURN * lever
+        self._row, self._facet, self._clearance, self._lever = row[kept], facet[kept], distance[kept], lever[kept]
+        self._x, self._normal, self._nodes = x.copy(), normal.copy(), nodes.copy()
+        self.rebuilds += 1
+
+    def _moved(self, x: Array, normal: Array, nodes: Array) -> tuple[Array, Array]:
+        """(n,) how much nearer (m) a facet may have come to a ray that has not turned, and (n,) by how much each has turned;
+        infinite where that is not known."""
         if self._x is None or x.shape != self._x.shape:
-            return np.inf
-        turned = self._reach * np.linalg.norm(normal - self._normal, axis=1)
+            return np.full(len(x), np.inf), np.zeros(len(x))
         of_nodes = LEBESGUE[self.target.shape.order] * _largest(np.linalg.norm(nodes - self._nodes, axis=1))
-        return _largest(np.linalg.norm(x - self._x, axis=1) + turned) + of_nodes
+        return np.linalg.norm(x - self._x, axis=1) + of_nodes, np.linalg.norm(normal - self._normal, axis=1)
 
 
 def _largest(values: Array) -> float:

@@ -51,6 +51,8 @@ NEWTON = 8  # iterations for the ray of a curved facet through a point, or a poi
 UNCOVERED = 1e-3
 SLIVER = 1e-13  # share of a facet below which a polygon is round-off
 THIN = 1e-4  # the same with Gauss points: edges amid the target, where they lie on those of the contactor, come and go
+# of a facet's extent, beside which the target's end makes polygons of it: what passes to and fro over its side is no change
+BESIDE = 0.25
 HARDLY = 1e-6  # share of a facet that counts as nothing: seen at all, or seen twice
 # degree of the points where a facet in space faces nothing: eight across, as their weight matters and their places hardly do
 LEFT_OVER = 15
@@ -430,24 +432,46 @@ class _Polygons(Segments):
 
 
 class _PolygonsAtEnds(_Polygons):
-    """Gauss points of whole facets, and polygons of those that see a facet of the target at which it ends or shows its side.
+    """Gauss points of whole facets, and polygons of those inside which, or near which, the target ends or shows its side.
     The arguments are those of :class:`_Polygons`."""
 
     still, growth, settles = STILL_AT_ENDS, GROWTH_AT_ENDS, SETTLES
 
     def __init__(self, target: GatheredFacets, gauss: IntegrationPoints, degree: int, comm: MPI.Intracomm) -> None:
         super().__init__(target, gauss, degree, comm)
-        self._is_end = np.asarray(self._sharp[target.facets].any(axis=1))
-
-    def _at_end(self, facet: Index, end: Index) -> Bool:
-        """(m,) whether the facet of each couple is in one with an end of the target."""
-        return np.asarray(np.bincount(facet[self._is_end[end]], minlength=self._facets.size)[facet] > 0)
+        corners = self._sharp[target.facets[:, self._other_loop]]
+        #: (nf, sides) which sides of the target's facets, from corner to corner, are such ends
+        self._sharp_sides = corners & np.roll(corners, -1, axis=1)
+        self._is_end = np.asarray(corners.any(axis=1))
 
     def _near_ends(self, facets: tuple[Array, Array], ends: tuple[Array, Array]) -> tuple[Index, Index]:
         x, radius = facets
         cut = np.unique(_near_balls(x, radius, *(a[self._is_end] for a in ends))[0])
         facet, end = _near_balls(x[cut], radius[cut], *ends)
         return cut[facet], end
+
+    def _images(self, facet: Index, end: Index, contactor: Array, target: Array) -> tuple[Array, Bool]:
+        images, near = super()._images(facet, end, contactor, target)
+        at_end = near & self._is_end[end]
+        at_end[at_end] = self._ends_inside(facet[at_end], end[at_end], images[at_end])
+        cut = np.zeros(self._facets.size, dtype=bool)
+        cut[facet[at_end]] = True
+        return images, near & cut[facet]
+
+    def _ends_inside(self, facet: Index, end: Index, images: Array) -> Bool:
+        """(m,) whether an end of the target, a side of facets `end` (m,) that are seen as `images` (m, corners, 2), passes
+        the box around the contactor's facets (m,), or goes by within BESIDE of it."""
+        low, high = self._window[facet].min(axis=1)[:, None], self._window[facet].max(axis=1)[:, None]
+        middle, half = (low + high) / 2, (0.5 + BESIDE) * (high - low)
+        first = images - middle
+        last = np.roll(first, -1, axis=1)
+        overlap = (np.minimum(first, last) <= half) & (np.maximum(first, last) >= -half)
+        side = np.abs(last - first)
+        across = np.abs(
+            first[..., 0] * last[..., 1] - first[..., 1] * last[..., 0]
+        )  # of the middle's distance from the line
+        meets = overlap.all(axis=2) & (across <= side[..., 1] * half[..., 0] + side[..., 0] * half[..., 1])
+        return np.asarray((meets & self._sharp_sides[end]).any(axis=1))
 
     def _without_trifles(self, facet: Index, polygons: Array, count: Index, area: Array) -> tuple[Array, Index, Array]:
         polygons, count = without_flat_corners(polygons, count, THIN * self._area)
@@ -456,8 +480,7 @@ class _PolygonsAtEnds(_Polygons):
         return polygons, count, np.where((left > THIN) | ~covers[facet], left, 0.0)
 
     def _points(self, facet: Index, end: Index, images: Array) -> IntegrationPoints:
-        cut = self._at_end(facet, end)
-        return super()._points(facet[cut], end[cut], images[cut]) if cut.any() else self._whole
+        return super()._points(facet, end, images) if len(facet) else self._whole
 
 
 def _loop(corners: Array) -> Index:

@@ -163,7 +163,7 @@ def _far_side(outer: GatheredFacets, x: Array, normal: Array, least: Array) -> t
     """Where the rays from 𝐱 (n, gdim) against `normal` leave the undeformed body through its boundary, at `least` (n,) so far
     behind (m): what is nearer overlaps. And (n,) whether one was found."""
     nodes = outer.X[outer.facets]
-    found = hits(outer.shape, nodes, x, normal, *ray_candidates(x, normal, nodes, 0.0)[:2])
+    found = hits(outer.shape, nodes, x, normal, *ray_candidates(x, normal, nodes, 0.0))
     found = found.take(found.d < -least[found.row])
     order = np.lexsort([-found.d, found.row])
     first = found.take(order[np.r_[True, np.diff(found.row[order]) > 0]] if len(order) else order)

@@ -89,7 +89,8 @@ class Target(ABC):
 
     @abstractmethod
     def project(self, points: ContactorPoints, place: Place | None = None) -> Projection:
-        """What the points face on the target as it is now, or was at another place."""
+        """What the points face on the target as it is now, or was at another place. Facets near them are kept for the next
+        time."""
 
     @abstractmethod
     def closest(self, x: Array) -> ClosestPoint:
@@ -223,9 +224,12 @@ class DeformableTarget(Target):
             held[:, i] = (end > first) & (free[end] == free[first])
         return held
 
+    def project_once(self, points: ContactorPoints, nodes: Array) -> RayHit:
+        """As :meth:`project` with rays and the target's nodes at `nodes` (m), of points that do not come back."""
+        return self._cast(points, nodes, ray_candidates(points.x, points.normal, nodes[self.facets], 0.0))
+
     def faced(self, points: ContactorPoints, nodes: Array) -> tuple[TargetPoint, NDArray[np.bool_]]:
-        couples = ray_candidates(points.x, points.normal, nodes[self.facets], 0.0)[:2]
-        at = self._cast(points, nodes, couples)
+        at = self.project_once(points, nodes)
         lost = np.flatnonzero(~at.facing)
         if len(lost):
             near = self._closest(points.x[lost], nodes).point

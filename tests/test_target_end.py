@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from dolfinx import fem
-from dolfinx.mesh import CellType, create_rectangle, locate_entities_boundary, meshtags
+from dolfinx.mesh import CellType, create_box, create_rectangle, locate_entities_boundary, meshtags
 from mpi4py import MPI
 from patch_test import pressure_error, squeezed_shells
 from robustness_model import Model
@@ -211,3 +211,39 @@ def test_newton_converges_quadratically_where_slip_varies_up_to_the_end():
     assert max(iterations[-2:]) <= 4  # seen: 3
     lower, upper = (pair.force() for pair in problem.pairs)
     assert np.allclose(lower, -upper, rtol=1e-11)
+
+
+def extruded(layers, friction):
+    """A block on a plate, both as wide as each other and cut into as many layers, which stay in their planes; and what moves
+    the block's top."""
+    bodies, surfaces, tops = [], [], []
+    for (low, high, cells), young in zip(
+        (([0.0, 0.0, 0.0], [0.6, 0.4, 1.0], (2, 1, layers)), ([-0.4, -0.3, 0.0], [1.4, 0.0, 1.0], (4, 1, layers))),
+        (1e6, 1e7),
+        strict=True,
+    ):
+        box = create_box(MPI.COMM_WORLD, [np.array(low), np.array(high)], cells, CellType.hexahedron)
+        touched, held = (low[1], high[1]) if young == 1e6 else (high[1], low[1])
+        V = fem.functionspace(box, ("Lagrange", 1, (3,)))
+        led = fem.Constant(box, np.zeros(3))
+        facets = [locate_entities_boundary(box, 2, lambda x, y=y: np.isclose(x[1], y)) for y in (touched, held)]
+        planes = locate_entities_boundary(box, 2, lambda x: np.isclose(x[2], 0.0) | np.isclose(x[2], 1.0))
+        stays = fem.locate_dofs_topological(V.sub(2), 2, planes)
+        bcs = [
+            fem.dirichletbc(led, fem.locate_dofs_topological(V, 2, facets[1]), V),
+            fem.dirichletbc(fem.Constant(box, 0.0), stays, V.sub(2)),
+        ]
+        bodies.append(Body(fem.Function(V), materials.neo_hookean(young, 0.3), bcs=bcs))
+        surfaces.append(Surface(box, meshtags(box, 2, np.sort(facets[0]), np.ones(len(facets[0]), dtype=np.int32)), 1))
+        tops.append(led)
+    return ContactProblem(bodies, contacts=[Contact(*surfaces, friction=friction)]), tops[0]
+
+
+@pytest.mark.parametrize("layers", [4, pytest.param(5, marks=pytest.mark.one_rank)])
+def test_bodies_that_end_together_take_the_steps_of_the_plane(layers):
+    """Where facets of both lie on each other, slivers of those that end seen from the next row's made polygons of these and
+    unmade them, for 12 iterations a step; a wider plate took one, as the same block in the plane does."""
+    problem, top = extruded(layers, 0.0)
+    steps = list(quasistatic.march(problem, top, to=(0.0, -0.08, 0.0), increments=4))
+    assert max(step.iterations for step in steps) <= 3 and not sum(step.rejected for step in steps)
+    assert abs(problem.pairs[0].force()[2]) < 1e-6 * problem.pairs[0].force()[1]
