@@ -13,6 +13,7 @@ from dolfinx_mortar_al.law import OPEN, SLIP
 from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import dot
+from dolfinx_mortar_al.rays import OPPOSED
 from dolfinx_mortar_al.reductions import max_over, sum_over
 from dolfinx_mortar_al.results import PairResults
 from dolfinx_mortar_al.smoothing import ALIKE
@@ -228,7 +229,7 @@ class PairFindings(PairResults):
         if not self._has_two_normals:
             return None
         share, X = self._share_off_normal(
-            lambda own, facet: self._contactor.turns[own] > self._target_surface.turns[facet]
+            lambda own, facet, cosine: self._contactor.turns[own] > self._target_surface.turns[facet]
         )
         if share < TURNED:
             return None
@@ -236,16 +237,14 @@ class PairFindings(PairResults):
 
     def dipping_friction(self, μ: float) -> Finding | None:
         """The same in the contactor's last facets, as a share of friction of the coefficient μ, where most of what presses
-        slips: a front that dips into a target which is smooth there (collective)."""
+        slips: a front that dips into a target, but for what passes over one's edge and faces its side (collective)."""
         if not self._has_two_normals or μ == 0.0:
             return None
         pressed, slips = self.j * self.state.p, self.state.status == SLIP
         slipping, force = sum_over(self.comm, np.array([pressed @ slips, pressed.sum()]))
         if slipping <= force / 2:
             return None
-        share, X = self._share_off_normal(
-            lambda own, facet: self._contactor.at_ends[own] & ~self._target_surface.at_ends[facet]
-        )
+        share, X = self._share_off_normal(lambda own, facet, cosine: self._contactor.at_ends[own] & (cosine >= OPPOSED))
         if share < OF_FRICTION * μ:
             return None
         return Finding(f"{self.name}: share of the friction that is off", share / μ, X, DIPS, False)
@@ -261,15 +260,18 @@ class PairFindings(PairResults):
         assert isinstance(self.target, DeformableTarget)
         return self.target.surface
 
-    def _share_off_normal(self, counts: Callable[[Index, Index], NDArray[np.bool_]]) -> tuple[float, tuple[float, ...]]:
+    def _share_off_normal(
+        self, counts: Callable[[Index, Index, Array], NDArray[np.bool_]]
+    ) -> tuple[float, tuple[float, ...]]:
         """The largest mean over a connected zone of p (ν − ν₂) over that of p, ν₂ the target's normal, and the middle of that
-        zone; of facets of the contactor and the target's that they face (n,) `counts` says which do (collective)."""
+        zone; of facets of the contactor and the target's that they face (n,), and the cosine between both normals (n,),
+        `counts` says which do (collective)."""
         closed = np.flatnonzero(self.state.status != OPEN)
         at, own = self.at.take(closed), self._own[self.integration.facet[closed]]
         normal = surface_normal(at.a)
         normal /= (np.sqrt(dot(normal, normal)) * np.where(dot(normal, at.ν) < 0, -1.0, 1.0))[:, None]
         pressed, zone = self.j[closed] * self.state.p[closed], self._contactor.zones(self._touched())
-        off = (pressed * counts(own, at.point.facet))[:, None] * (at.ν - normal)
+        off = (pressed * counts(own, at.point.facet, dot(normal, at.ν)))[:, None] * (at.ν - normal)
         parts = np.column_stack([off, pressed[:, None] * self.points()[closed], pressed])
         sums = np.zeros((zone.max(initial=-1) + 1, parts.shape[1]))
         np.add.at(sums, zone[own], parts)

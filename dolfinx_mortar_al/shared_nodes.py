@@ -76,7 +76,8 @@ class SharedNodes:
 
     def leave_out(self, everywhere: bool) -> None:
         """Let multipliers have no part in nodes that they share with others, where both touch their targets, or `everywhere`
-        that surfaces of two rigid targets meet; but a facet keeps one node, if it can one that no pair before has kept."""
+        that surfaces of two targets meet of which one is rigid; but a facet keeps one node, if it can one that no pair before
+        has kept."""
         pairs = {id(pair): pair for pair, _, _ in self._couples}
         near = {
             k: np.ones(pair.facets.dofs.shape, dtype=bool) if everywhere else pair.near(TOUCHING)
@@ -88,7 +89,7 @@ class SharedNodes:
             if everywhere:  # but not all over a surface that both have
                 common = np.isin(pair.facets.entities, other.facets.entities)[:, None]
                 theirs &= ~self._marked(pair, pair, common & np.ones_like(theirs))
-                theirs &= pair.target.is_rigid and other.target.is_rigid
+                theirs &= pair.target.is_rigid or other.target.is_rigid
             out[id(pair)] |= theirs
         kept: list[tuple[Sharer, Bool]] = []
         for k, pair in pairs.items():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import ufl
 from dolfinx import fem
 from dolfinx.mesh import CellType, compute_midpoints, create_box, create_rectangle, locate_entities_boundary, meshtags
 from mpi4py import MPI
@@ -10,6 +11,7 @@ from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, dynamics, 
 from dolfinx_mortar_al.step_level import StepLevel
 
 LAW = materials.neo_hookean(E=1e6, nu=0.3)
+WEIGHT = -9810.0  # N/m³
 EDGES = {"bottom": (1, 0), "right": (0, 1), "top": (1, 1), "left": (0, 0)}  # axis, end
 
 
@@ -219,3 +221,25 @@ def test_a_block_flies_into_a_rough_corner():
         assert step.ledger.friction_dissipation >= -1e-9 and step.ledger.impact_loss >= -1e-9
     assert touched.all() and isinstance(problem.pairs[0].kinematics, StepLevel)
     assert np.allclose(step.ledger.momentum, impulse + 1000.0 * np.array([-1.0, -1.5]), atol=1e-6)
+
+
+def test_blocks_on_a_rough_floor_run_into_each_other():
+    """Their lower corners touch the floor and each other: a rigid target and one that deforms. What contact leaves of the
+    velocities was not determined after a few steps; it is, in a few iterations, and momentum is what the floor gives."""
+    floor = obstacles.RigidPlane([0.0, 0.0], [0.0, 1.0])
+    motions, sides = [], []
+    for x in (0.0, 1.0):
+        u, mine = square(1, 1, (x, 0.0))
+        weight = (ufl.as_vector([0.0, WEIGHT]), ufl.dx)
+        motions.append(dynamics.Motion(Body(u, LAW, density=1000.0, external=[weight]), step=1e-3))
+        motions[-1].velocity.interpolate(lambda X, x=x: np.stack([0.5 - x + 0 * X[0], 0 * X[0]]))
+        sides.append(mine)
+    contacts = [Contact(mine["bottom"], floor, friction=0.6) for mine in sides]
+    contacts.append(Contact(sides[0]["right"], sides[1]["left"], friction=0.6))
+    steps = list(dynamics.march(ContactProblem(motions, contacts=contacts), to=0.02))
+    assert max(step.iterations for step in steps) <= 6 and not sum(step.rejected for step in steps)
+    ledger = steps[-1].ledger
+    assert abs(ledger.energy_defect) < 1e-9 * ledger.received and np.linalg.norm(steps[0].forces[2]) > 0
+    on_ground = sum(step.step * (step.forces[0] + step.forces[1]) for step in steps)
+    weights = np.array([0.0, 2 * WEIGHT * 0.02])
+    assert np.allclose(ledger.momentum, on_ground + weights, atol=1e-6)
