@@ -173,17 +173,18 @@ class ContactPair(PairFindings):
             return IntegrationPoints.gauss(self.facets, np.full(count, degree), self.thickness)
         degree = default_degree(self.facets, contact.contactor.is_membrane)
         points = IntegrationPoints.gauss(self.facets, np.full(count, degree), self.thickness)
-        degrees = degrees_on(self.facets, degree, self._faced_extents(points), contactor)
+        degrees = degrees_on(self.facets, degree, self._faced(self.target.extents, points), contactor)
         return points if (degrees == degree).all() else IntegrationPoints.gauss(self.facets, degrees, self.thickness)
 
-    def _faced_extents(self, points: IntegrationPoints) -> Array:
-        """(nf,) extent (m) of the target's facets that each facet may face: of the finest that is closest to one of its
-        points at the start, or the mean of all, onto which it may slide, if that is less."""
-        mean = float(np.mean(self.target.extents))
+    def _faced(self, extents: Array, points: IntegrationPoints) -> Array:
+        """(nf,) out of the `extents` (target's nf,), or widths, of the target's facets (m) that of those that each facet may
+        face: of the finest that is closest to one of its points at the start, or the mean of all, onto which it may
+        slide, if that is less."""
+        mean = float(np.mean(extents))
         faced = np.full(self.facets.size, mean)
         if isinstance(self.target, DeformableTarget) and self.facets.size:
             at = self.target.at_reference(points.interpolate(self.facets.X))
-            np.minimum.at(faced, points.facet, self.target.extents[at.point.facet])
+            np.minimum.at(faced, points.facet, extents[at.point.facet])
         return faced
 
     def _make_segments(self) -> Segments | None:
@@ -401,13 +402,15 @@ class ContactPair(PairFindings):
         self.blocks.leave_rough()
         if others or self.target.fixed.all():
             return
-        faced, rigid = self._faced_extents(self.gauss), np.asarray(self.blocks.fixed.all(axis=(1, 2)))
+        faced, widths = (self._faced(sizes, self.gauss) for sizes in (self.target.extents, self.target.widths))
+        rigid = np.asarray(self.blocks.fixed.all(axis=(1, 2)))
         length = float(np.mean(self._contactor.areas() ** (1.0 / self.facets.shape.dim)))
         moduli = self.stiffnesses[0] * length, self.stiffnesses[1] * float(np.mean(self.target.extents))
         own = self.facets.areas() ** (1.0 / self.facets.shape.dim)
-        κ = lacking_compliance(self.multiplier, self.target, own, faced, moduli, rigid)
+        sides = (own, self.facets.widths()), (faced, widths)
+        κ = lacking_compliance(self.multiplier, self.target, *sides, moduli, rigid)
         if any_over(self.comm, κ.any()):
-            self.blocks.hold_smooth(κ, ZoneWidth(self._contactor, self._own, self.target.spacing * faced, self.comm))
+            self.blocks.hold_smooth(κ, ZoneWidth(self._contactor, self._own, self.target.spacing * widths, self.comm))
 
     def far_off(self) -> dict[str, float]:
         """The augmentation parameters that are a user's and more than FAR times more or less than the bulk suggests, over

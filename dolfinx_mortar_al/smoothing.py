@@ -26,8 +26,8 @@ ALIKE = 0.99  # spacings that are the same but for the shape of facets
 def lacking_compliance(
     multiplier: MultiplierSpace,
     target: Target,
-    own: Array,
-    faced: Array,
+    own: tuple[Array, Array],
+    faced: tuple[Array, Array],
     moduli: tuple[float, float],
     prescribed: NDArray[np.bool_],
 ) -> Array:
@@ -35,16 +35,18 @@ def lacking_compliance(
     target's.
 
     Args:
-        own, faced: (nf,) extents of the facets and of those of the target that they face (m).
+        own, faced: (nf,) extents and (nf,) widths of the facets and of those of the target that they face (m).
         moduli: (E_c, E_t) stiffness per area × length of a facet of the contactor and of the target (Pa).
         prescribed: (nf,) facets of the contactor that do not yield at all.
 
     C is what the target yields per area over the distance h of its nodes, times E_c/(E_c + E_t): less where the contactor
-    yields by itself. ℓ = h/π is 1/q of the shortest wave that the target has, but no more than the multiplier's own spacing.
+    yields by itself. ℓ = h/π is 1/q of the shortest wave that the target has, but no more than the multiplier's own spacing;
+    across facets that are longer than wide, as of bodies of one layer, waves are shorter than along them.
     """
-    own, theirs = multiplier.shape.spacing * own, target.spacing * faced
-    C = target.spacing**target.dim * faced / moduli[1] * np.where(prescribed, 1.0, moduli[0] / sum(moduli))
-    return np.where(own < ALIKE * theirs, np.minimum(theirs / np.pi, own) ** 2 * C, 0.0)
+    is_finer = multiplier.shape.spacing * own[0] < ALIKE * target.spacing * faced[0]
+    C = target.spacing**target.dim * faced[0] / moduli[1] * np.where(prescribed, 1.0, moduli[0] / sum(moduli))
+    ℓ = np.minimum(target.spacing * faced[1] / np.pi, multiplier.shape.spacing * own[1])
+    return np.where(is_finer, ℓ**2 * C, 0.0)
 
 
 def products_of_gradients(points: IntegrationPoints, multiplier: MultiplierSpace) -> Array:

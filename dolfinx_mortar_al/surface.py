@@ -277,6 +277,10 @@ class Facets:
         """(nf,) reference areas (m², or m in two dimensions)."""
         return _areas(self.shape, self.X)
 
+    def widths(self) -> Array:
+        """(nf,) reference extents, or less of facets that are longer than wide (m)."""
+        return _widths(self.shape, self.X)
+
     def gather(self) -> GatheredFacets:
         """The whole surface on every rank (its topology only; positions follow each Newton iteration)."""
         comm, V = self.space.mesh.comm, self.space
@@ -477,6 +481,10 @@ class GatheredFacets:
         """(nf,) reference areas (m², or m in two dimensions)."""
         return _areas(self.shape, self.X[self.facets])
 
+    def widths(self) -> Array:
+        """(nf,) reference extents, or less of facets that are longer than wide (m)."""
+        return _widths(self.shape, self.X[self.facets])
+
     def places_of(self, facets: Facets) -> Index:
         """(own nf,) which of these facets each of this rank's is, by its nodes."""
         mine = facets.space.dofmap.index_map.local_to_global(facets.dofs.ravel()).reshape(facets.dofs.shape)
@@ -493,3 +501,20 @@ def _areas(shape: ShapeFunctions, X: Array) -> Array:
     points, weights = shape.quadrature(2 * shape.order)
     a = np.einsum("qak,fki->fqai", shape.tabulate(points, 1)[1], X)
     return np.asarray(np.linalg.norm(surface_normal(a), axis=2) @ weights)
+
+
+def _widths(shape: ShapeFunctions, X: Array) -> Array:
+    """(nf,) of facets with nodes X (nf, nodes, gdim): their areas to the power 1/dim, as they are of squares and halves of
+    squares, or if that is less, the least distance of a side from the corner that is farthest from it."""
+    extent = _areas(shape, X) ** (1.0 / shape.dim)
+    if shape.dim == 1:
+        return extent
+    corners = X[:, : len(shape.corners)]
+    width = extent.copy()
+    for side in shape.sides:
+        first, last = corners[:, side[0]], corners[:, side[1]]
+        along = (last - first) / np.linalg.norm(last - first, axis=1)[:, None]
+        arm = corners - first[:, None]
+        apart = arm - np.einsum("fki,fi->fk", arm, along)[:, :, None] * along[:, None]
+        width = np.minimum(width, np.linalg.norm(apart, axis=2).max(axis=1))
+    return width

@@ -64,7 +64,8 @@ class Target(ABC):
         fixed: (nodes, gdim) whether a component is prescribed; end_nodes: (nodes,) whether a node lies on an end.
         size: largest diameter of a facet (m), the length by which gaps are judged; reach: of an obstacle, the length that its
             surface is computed with (m), 0 for bodies.
-        extents: (nf,) reference area of each facet to the power 1/dim (m), infinite for an obstacle.
+        extents: (nf,) reference area of each facet to the power 1/dim (m), infinite for an obstacle; widths: (nf,) the
+            same, or less of facets that are longer than wide.
         spacing: of neighbouring nodes, in extents.
         dim: of the surface; is_rigid: whether it is an obstacle; uses_rays: whether it is projected onto along the
             contactor's normals.
@@ -78,6 +79,7 @@ class Target(ABC):
     size: float
     reach = 0.0
     extents: Array
+    widths: Array
     spacing: float
     dim: int
     uses_rays: bool
@@ -161,6 +163,7 @@ class DeformableTarget(Target):
         self.blocks, self.end_nodes = bodies.common(k, self.surface.blocks), self.surface.end_nodes
         self.size, self.dim = self.surface.size_of_facets, self.surface.shape.dim
         self.extents, self.spacing = self.surface.areas() ** (1.0 / self.dim), self.surface.shape.spacing
+        self.widths = self.surface.widths()
         self._gdim = bodies.gdim
         where = PETSc.IS().createBlock(self._gdim, self.surface.blocks.astype(np.int32), comm=PETSc.COMM_SELF)
         self._vec = PETSc.Vec().createSeq(len(self.surface.blocks) * self._gdim)
@@ -294,7 +297,8 @@ class RigidTarget(Target):
         self.facets, self.neighbours = np.zeros((1, 0), dtype=np.int64), np.zeros((1, 1), dtype=np.int64)
         self.blocks, self.end_nodes = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
         self.fixed = np.zeros((0, gdim), dtype=bool)
-        self.uses_rays, self.extents, self.spacing = False, np.full(1, np.inf), 1.0
+        self.uses_rays, self.spacing = False, 1.0
+        self.extents = self.widths = np.full(1, np.inf)
 
     def refresh(self) -> None:
         pass

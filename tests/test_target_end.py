@@ -215,26 +215,26 @@ def test_newton_converges_quadratically_where_slip_varies_up_to_the_end():
 
 def extruded(layers, friction, upper=(2, 1), lower=(4, 1)):
     """A block on a plate of so many cells along and through, both as wide as each other and cut into layers, which stay
-    in their planes; and what moves the block's top."""
-    bodies, surfaces, tops = [], [], []
-    for (low, high, cells), young in zip(
-        (([0.0, 0.0, 0.0], [0.6, 0.4, 1.0], upper), ([-0.4, -0.3, 0.0], [1.4, 0.0, 1.0], lower)),
-        (1e6, 1e7),
-        strict=True,
-    ):
-        box = create_box(MPI.COMM_WORLD, [np.array(low), np.array(high)], (*cells, layers), CellType.hexahedron)
-        touched, held = (low[1], high[1]) if young == 1e6 else (high[1], low[1])
-        V = fem.functionspace(box, ("Lagrange", 1, (3,)))
-        led = fem.Constant(box, np.zeros(3))
-        facets = [locate_entities_boundary(box, 2, lambda x, y=y: np.isclose(x[1], y)) for y in (touched, held)]
-        planes = locate_entities_boundary(box, 2, lambda x: np.isclose(x[2], 0.0) | np.isclose(x[2], 1.0))
-        stays = fem.locate_dofs_topological(V.sub(2), 2, planes)
-        bcs = [
-            fem.dirichletbc(led, fem.locate_dofs_topological(V, 2, facets[1]), V),
-            fem.dirichletbc(fem.Constant(box, 0.0), stays, V.sub(2)),
-        ]
+    in their planes, or with `layers` = 0 in the plane; and what moves the block's top."""
+    bodies, surfaces, tops, dim = [], [], [], 3 if layers else 2
+    for low, high, cells, young in ((0.0, 0.6, upper, 1e6), (-0.4, 1.4, lower, 1e7)):
+        touched, held = (0.0, 0.4) if young == 1e6 else (0.0, -0.3)
+        ends = [np.array([low, min(touched, held), 0.0])[:dim], np.array([high, max(touched, held), 1.0])[:dim]]
+        if layers:
+            mesh = create_box(MPI.COMM_WORLD, ends, (*cells, layers), CellType.hexahedron)
+        else:
+            mesh = create_rectangle(MPI.COMM_WORLD, ends, cells, CellType.quadrilateral)
+        V = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
+        led = fem.Constant(mesh, np.zeros(dim))
+        facets = [locate_entities_boundary(mesh, dim - 1, lambda x, y=y: np.isclose(x[1], y)) for y in (touched, held)]
+        bcs = [fem.dirichletbc(led, fem.locate_dofs_topological(V, dim - 1, facets[1]), V)]
+        if layers:
+            planes = locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[2], 0.0) | np.isclose(x[2], 1.0))
+            stays = fem.locate_dofs_topological(V.sub(2), 2, planes)
+            bcs.append(fem.dirichletbc(fem.Constant(mesh, 0.0), stays, V.sub(2)))
         bodies.append(Body(fem.Function(V), materials.neo_hookean(young, 0.3), bcs=bcs))
-        surfaces.append(Surface(box, meshtags(box, 2, np.sort(facets[0]), np.ones(len(facets[0]), dtype=np.int32)), 1))
+        tags = meshtags(mesh, dim - 1, np.sort(facets[0]), np.ones(len(facets[0]), dtype=np.int32))
+        surfaces.append(Surface(mesh, tags, 1))
         tops.append(led)
     return ContactProblem(bodies, contacts=[Contact(*surfaces, friction=friction)]), tops[0]
 
@@ -251,13 +251,17 @@ def test_bodies_that_end_together_take_the_steps_of_the_plane(layers):
 
 @pytest.mark.one_rank
 def test_a_dipping_front_is_said_where_the_target_is_narrow():
-    """All facets of a narrow target have nodes at its end: nothing was said of a block in gross slip that felt 14 % less than
-    μ times its pressure. What is missing is told to .03 of it."""
-    problem, top = extruded(2, 0.3, upper=(8, 4), lower=(16, 3))
-    press, drag = (quasistatic.Stage(top, to=to, increments=k) for to, k in (((0, -0.08, 0), 2), ((0.3, -0.08, 0), 4)))
-    *_, step = quasistatic.march(problem, [press, drag])
-    force = problem.pairs[0].force()
-    missing = 1.0 - abs(force[0] / force[1]) / 0.3
-    said = [finding.value for finding in step.findings if "friction that is off" in finding.name]
-    assert problem.pairs[0].stick_fraction() == 0.0 and missing > 0.1
-    assert said == pytest.approx([missing], abs=0.03)
+    """All facets of a narrow target have nodes at its end: nothing was said of a block in gross slip that felt 10 % less than
+    μ times its pressure. What is missing is told to .03 of it, in the plane and in space, where one layer of cells was held
+    smooth along the drag as if its facets were as wide as they are deep, and felt 13 % less than the plane; now 5 %."""
+    felt = []
+    for layers in (0, 1):
+        problem, top = extruded(layers, 0.3, upper=(8, 4), lower=(16, 3))
+        ways = [np.array([x, -0.08, 0.0])[: len(top.value)] for x in (0.0, 0.3)]
+        press, drag = (quasistatic.Stage(top, to=to, increments=k) for to, k in zip(ways, (2, 4), strict=True))
+        *_, step = quasistatic.march(problem, [press, drag])
+        force = problem.pairs[0].force()
+        felt.append(abs(force[0] / force[1]))
+        said = [finding.value for finding in step.findings if "friction that is off" in finding.name]
+        assert problem.pairs[0].stick_fraction() == 0.0 and said == pytest.approx([1.0 - felt[-1] / 0.3], abs=0.03)
+    assert felt[1] == pytest.approx(felt[0], rel=0.07)
