@@ -173,18 +173,19 @@ class ContactPair(PairFindings):
             return IntegrationPoints.gauss(self.facets, np.full(count, degree), self.thickness)
         degree = default_degree(self.facets, contact.contactor.is_membrane)
         points = IntegrationPoints.gauss(self.facets, np.full(count, degree), self.thickness)
-        degrees = degrees_on(self.facets, degree, self._faced(self.target.extents, points), contactor)
+        (faced,) = self._faced(points, self.target.extents)
+        degrees = degrees_on(self.facets, degree, faced, contactor)
         return points if (degrees == degree).all() else IntegrationPoints.gauss(self.facets, degrees, self.thickness)
 
-    def _faced(self, extents: Array, points: IntegrationPoints) -> Array:
-        """(nf,) out of the `extents` (target's nf,), or widths, of the target's facets (m) that of those that each facet may
-        face: of the finest that is closest to one of its points at the start, or the mean of all, onto which it may
+    def _faced(self, points: IntegrationPoints, *sizes: Array) -> list[Array]:
+        """(nf,) out of each of the `sizes` (target's nf,), extents or widths of its facets (m), that of those that each facet
+        may face: of the finest that is closest to one of its points at the start, or the mean of all, onto which it may
         slide, if that is less."""
-        mean = float(np.mean(extents))
-        faced = np.full(self.facets.size, mean)
+        faced: list[Array] = [np.full(self.facets.size, float(np.mean(size))) for size in sizes]
         if isinstance(self.target, DeformableTarget) and self.facets.size:
             at = self.target.at_reference(points.interpolate(self.facets.X))
-            np.minimum.at(faced, points.facet, extents[at.point.facet])
+            for least, size in zip(faced, sizes, strict=True):
+                np.minimum.at(least, points.facet, size[at.point.facet])
         return faced
 
     def _make_segments(self) -> Segments | None:
@@ -402,7 +403,7 @@ class ContactPair(PairFindings):
         self.blocks.leave_rough()
         if others or self.target.fixed.all():
             return
-        faced, widths = (self._faced(sizes, self.gauss) for sizes in (self.target.extents, self.target.widths))
+        faced, widths = self._faced(self.gauss, self.target.extents, self.target.widths)
         rigid = np.asarray(self.blocks.fixed.all(axis=(1, 2)))
         length = float(np.mean(self._contactor.areas() ** (1.0 / self.facets.shape.dim)))
         moduli = self.stiffnesses[0] * length, self.stiffnesses[1] * float(np.mean(self.target.extents))
