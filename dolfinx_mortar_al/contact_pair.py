@@ -281,7 +281,7 @@ class ContactPair(PairFindings):
     def near(self, share: float) -> Bool:
         """(nf, nodes) which of the contactor's nodes lie within a share of their facet's length from the target, in the last
         equilibrium."""
-        nodes, length = self._converged.nodes, self.facets.areas() ** (1.0 / self.facets.shape.dim)
+        nodes, length = self._converged.nodes, self.facets.extents()
         apart = self.target.distances(nodes.reshape(-1, self.gdim), self._converged.place)
         return np.asarray(apart.reshape(nodes.shape[:2]) <= share * length[:, None])
 
@@ -405,9 +405,9 @@ class ContactPair(PairFindings):
             return
         faced, widths = self._faced(self.gauss, self.target.extents, self.target.widths)
         rigid = np.asarray(self.blocks.fixed.all(axis=(1, 2)))
-        length = float(np.mean(self._contactor.areas() ** (1.0 / self.facets.shape.dim)))
+        length = float(np.mean(self._contactor.extents()))
         moduli = self.stiffnesses[0] * length, self.stiffnesses[1] * float(np.mean(self.target.extents))
-        own = self.facets.areas() ** (1.0 / self.facets.shape.dim)
+        own = self.facets.extents()
         sides = (own, self.facets.widths()), (faced, widths)
         κ = lacking_compliance(self.multiplier, self.target, *sides, moduli, rigid)
         if any_over(self.comm, κ.any()):

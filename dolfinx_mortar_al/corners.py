@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from dolfinx_mortar_al.surface import SHARP, Facets, GatheredFacets, surface_normal
+from dolfinx_mortar_al.surface import SHARP, Facets, GatheredFacets
 
 __all__ = ["SharpCorners"]
 
@@ -46,11 +46,7 @@ class SharpCorners:
         """Those of a contactor, this rank's `facets` of its whole `surface`, in the reference configuration; None if it has
         none. `nodes`: which of the displacement's nodes on a facet are the multiplier's, in its order."""
         count, k = len(surface.facets), len(nodes)
-        slope = surface.shape.tabulate(surface.shape.nodes[nodes], 1)[1]
-        tangents = slope @ surface.X[surface.facets][:, None]  # (nf, k, dim, gdim)
-        normal = surface_normal(tangents) * surface.orientation[:, None, None]
-        normal = (normal / np.linalg.norm(normal, axis=2, keepdims=True)).reshape(count * k, -1)
-        face, corner = _faces(surface.facets[:, nodes].ravel(), normal)
+        face, corner = _faces(surface.facets[:, nodes].ravel(), surface.normals()[:, nodes].reshape(count * k, -1))
         if not len(corner):
             return None
         mine = face.reshape(count, k)[surface.places_of(facets)]

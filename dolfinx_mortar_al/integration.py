@@ -52,7 +52,7 @@ def degrees_on(facets: Facets, degree: int, faced: Array, surface: GatheredFacet
     """(nf,) the degree on each facet of the contactor `surface`, `degree` or more: with PER_TARGET_FACET points on each of
     the target's facets, whose extents are `faced` (nf,) in metres; in space with ACROSS points across the surface, too, and
     with one near each corner that a plane may touch first."""
-    dim, size = facets.shape.dim, facets.areas() ** (1.0 / facets.shape.dim)
+    dim, size = facets.shape.dim, facets.extents()
     points = PER_TARGET_FACET * size / faced
     if dim == 2:
         points = np.maximum(points, ACROSS * size / np.sqrt(surface.areas().sum()))

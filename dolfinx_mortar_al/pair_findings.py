@@ -355,8 +355,7 @@ class PairFindings(PairResults):
 
     def _own_extents(self) -> Array:
         """(n,) extents of the points' facets (m)."""
-        facets = self.integration.facets
-        return np.asarray(facets.areas() ** (1.0 / facets.shape.dim))[self.integration.facet]
+        return np.asarray(self.integration.facets.extents()[self.integration.facet])
 
     @cached_property
     def _is_curved(self) -> bool:

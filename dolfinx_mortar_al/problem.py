@@ -28,13 +28,14 @@ from dolfinx_mortar_al.contact_pair import ContactPair
 from dolfinx_mortar_al.given import Given
 from dolfinx_mortar_al.led import lead
 from dolfinx_mortar_al.load import Loads
-from dolfinx_mortar_al.monitors import Finding, Monitor, Reporter
+from dolfinx_mortar_al.monitors import Monitor, Reporter
 from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector, matrix_with_pattern, row_by_row
-from dolfinx_mortar_al.pieces import Piece
+from dolfinx_mortar_al.problem_findings import ProblemFindings
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.shared_nodes import SharedNodes
+from dolfinx_mortar_al.standing import Standing
 from dolfinx_mortar_al.stopwatch import Stopwatch
 from dolfinx_mortar_al.ties import Bearing, Ties
 from dolfinx_mortar_al.validation import check_names, joint_thickness, listed
@@ -45,33 +46,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-LET_GO = (
-    "contact alone held it and does no more, so that nothing says where it is; press it on, hold one of its nodes, or let it "
-    "move with dynamics.march"
-)
-FREE = (
-    "supports do not keep it in place and no load presses it on, so that nothing says where it is, or whether what it lies "
-    "on carries it along; press it on, hold one of its nodes, or let it move with dynamics.march"
-)
-ROUNDED = (
-    "share of the contact forces that round-off of positions makes, as far as can be told: what it presses is stiff for so "
-    "small a load, or lies far from the origin; move the meshes there, or take these forces for none"
-)
-SLIDE = (
-    "share of the contact forces on it, or of a load that pushes it along, that contact does not bear but a tie to where it "
-    "was, as next to nothing resists: from pressures on a coarse mesh, or a load under which it is about to slide or tip, of "
-    "which it may be a large part; refine its surface, or prescribe the motion that is free, of one node"
-)
-SLIDES = (
-    "{}: {:.1%} of the friction that its pressure allows is in use in the last of these states, and little else keeps a body "
-    "from sliding there: past that it slides off: prescribe its motion along the surface, or let it move with dynamics.march"
-)
-NEARLY_ALL = 0.9  # of the friction: what the next sixteenth of a load's increments asks for may be more than is left
-TOLD = 1e-3  # share of the contact forces that a tie may bear, or round-off may be, unsaid
-OUT_OF_BALANCE = 0.1  # of the worst: loose bodies that a failed solve names
 LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
-UNLOADED = 1e-9  # of the most that has pressed on a piece: what Newton's tolerance leaves of it presses on nothing
-NOISE = 1e-3  # share of round-off in a body's forces below which a tie bears nothing, and contact does not press on it
 SPARE = 2  # rings of target facets around contact in the plane that matrices have room for from the start
 UNSEEN = 1e-6  # share of round-off in a body's forces below which a load counts as none from the start
 
@@ -98,34 +73,7 @@ class Member(Protocol):
         """Back to a snapshot."""
 
 
-@dataclass
-class Standing:
-    """How pieces that contact alone holds stood in the last equilibrium.
-
-    Attributes:
-        held: whether supports, or contact as firmly as supports, held all pieces.
-        free: (pieces,) which ones nothing presses on.
-        pressed: (pieces,) what contact pressed on each with (N); pressing: the most that it has in an equilibrium.
-    """
-
-    held: bool
-    free: NDArray[np.bool_]
-    pressed: Array
-    pressing: Array
-
-    def snapshot(self) -> dict[str, Array]:
-        """Copies of all."""
-        held = np.array([float(self.held)])
-        forces = {"pressed": self.pressed.copy(), "pressing": self.pressing.copy()}
-        return {"held": held, "free": self.free.astype(float), **forces}
-
-    def restore(self, saved: dict[str, Array]) -> None:
-        """Back to a snapshot."""
-        self.held, self.free = bool(saved["held"][0]), saved["free"] > 0
-        self.pressed, self.pressing = saved["pressed"].copy(), saved["pressing"].copy()
-
-
-class ContactProblem:
+class ContactProblem(ProblemFindings):
     """Bodies with contact pairs: ``ContactProblem(body, contacts=…)`` with a :class:`~dolfinx_mortar_al.body.Body`, in motion
     with a :class:`~dolfinx_mortar_al.motion.Motion`, or several; or ``ContactProblem(F, u, bcs=…, contacts=…)`` with any
     residuals F(u; v) = 0.
@@ -280,19 +228,6 @@ class ContactProblem:
             gap = max(rtol * max(force, reference) / pair.stiffness, floor)
             ratios.append(part.norm() / (pair.unit * gap))
         return ratios
-
-    def _contact_round_off(self, counts: NDArray[np.bool_] | None = None) -> Array:
-        """(pieces,) what the round-off of positions makes of the contact forces on each (N), of the pairs that count."""
-        every = np.array([pair.force_round_off for pair in self.pairs])
-        return self._contact_motions.on_pieces(list(every if counts is None else every * counts))
-
-    def is_pressed(self) -> bool:
-        """Whether contact presses on anything, by more than round-off (collective)."""
-        return bool((self._pressing() > self._no_press()).any())
-
-    def _no_press(self) -> Array:
-        """(pieces,) forces (N) below which contact does not press on a piece, and ties bear nothing."""
-        return np.maximum(NOISE * self.force_floor, self._contact_round_off())
 
     def force_over_firmness(self) -> float:
         """The largest norm of the bulk's forces on a piece over those that strain it by one (collective)."""
@@ -575,83 +510,12 @@ class ContactProblem:
             mine = np.arange(*A.getOwnershipRange(), dtype=np.int32)[:, None]
             A.setValuesRCV(mine, mine, self.dashpots.stiffness[:, None, None], _ADD)
 
-    def findings(self) -> list[Finding]:
-        """What the monitors find below their bounds in the present state, and pairs whose integration is too coarse or
-        multiplier too fine, whose ε is far from the bulk's, whose surfaces are prescribed to overlap, have passed through
-        each other or overlap unfelt (collective)."""
-        looks = [monitor.look() for monitor in self.monitors]
-        for pair in self.pairs:
-            looks += [
-                pair.prescribed_overlap() or pair.pushed_node(),
-                pair.coarse_integration(),
-                pair.fine_multiplier(),
-            ]
-            looks += [*pair.unfelt(), *pair.far_augmentation(), pair.turned_force()]
-            looks += [pair.dipping_friction(pair.friction_coefficient)]
-        return [finding for finding in looks if finding is not None] + self._let_go() + self._tied()
-
-    def _tied(self) -> list[Finding]:
-        """Pieces of which ties bear more than TOLD of the contact forces in this state (collective)."""
-        found = []
-        for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
-            for piece in body.floating:
-                borne = float(self.ties.borne[first + piece.number]) if self.ties is not None else 0.0
-                if borne > TOLD:
-                    found.append(Finding(f"slide of {piece}", borne, (), SLIDE, fatal=False))
-        return found
-
-    def _in_contact(self) -> NDArray[np.bool_]:
-        """(2, pairs) which pairs are in contact now, and were in the last equilibrium (collective)."""
-        here = np.array([(pair.active.closed.any(), pair.was_in_contact()) for pair in self.pairs], dtype=int)
-        return np.asarray(sum_over(self.comm, here.reshape(-1, 2)).T > 0)
-
-    def is_in_contact(self) -> bool:
-        """Whether any pair is in contact in the last equilibrium (collective)."""
-        return bool(self._in_contact()[1].any())
-
-    def never_met(self, said: Sequence[Finding]) -> list[Finding]:
-        """Of a march without contact, how near the surfaces of each pair are, but of one that may touch itself, or of which
-        the findings `said` tell more (collective)."""
-        quiet = [pair for pair in self.pairs if not any(f.name.startswith(f"{pair.name}: ") for f in said)]
-        return [pair.never_met() for pair in quiet if not pair.target.is_contactor]
-
-    def narrow_zones(self) -> list[Finding]:
-        """Of a state that is left, contacts that their facets do not resolve: each begins with such (collective)."""
-        looks = [pair.narrow_zone() for pair in self.pairs]
-        return [finding for finding in looks if finding is not None]
-
     def has_thrown_off(self) -> bool:
         """Whether a piece that contact alone holds is far from where the last solve began, and nothing touches it
         (collective)."""
         if self.ties is None:
             return False
         return bool((self.ties.far() & (self._touched_now() == 0)).any())
-
-    def _touched_now(self) -> Array:
-        """(pieces,) by how many pairs in contact each is touched now (collective)."""
-        return self._contact_motions.on_pieces(self._in_contact()[0])
-
-    def _let_go(self) -> list[Finding]:
-        """Pieces that contact alone held in the last equilibrium and that nothing touches now; those that nothing presses on,
-        other than in that one; and those on which round-off presses (collective)."""
-        if not self.floating:
-            return []
-        now, before = self._in_contact()
-        pressing = self._pressing()
-        self._free = np.asarray(pressing <= np.maximum(self._no_press(), UNLOADED * self.standing.pressing))
-        rounded = self._contact_round_off() / np.maximum(pressing, 1e-300)
-        found = []
-        for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
-            for piece in body.floating:
-                n = first + piece.number
-                mine = np.array([touched[n] for touched in self._touched], dtype=bool)
-                if (before & mine).any() and not (now & mine).any():
-                    found.append(Finding(f"contacts of {piece}", 0.0, (), LET_GO, fatal=False))
-                elif self._free[n] and not self.standing.free[n]:
-                    found.append(Finding(f"contact forces on {piece}", 0.0, (), FREE, fatal=False))
-                elif not self._free[n] and rounded[n] > TOLD:
-                    found.append(Finding(f"round-off on {piece}", float(rounded[n]), (), ROUNDED, fatal=False))
-        return found
 
     def evaluate(self) -> None:
         """Bring the pairs' contact state, and all that is reported of it, up to date with the displacements."""
@@ -688,10 +552,6 @@ class ContactProblem:
         (collective)."""
         if self.ties is not None:
             self.ties.measure(response, self._pressing())
-
-    def _pressing(self) -> Array:
-        """(pieces,) what pairs press on each piece with, balanced or not (N, collective)."""
-        return self._contact_motions.on_pieces([pair.pressing() for pair in self.pairs])
 
     def dragged(self) -> Array:
         """(pieces, motions) what ties would bear more (N) if the pieces went on along them by what undoes how far surfaces
@@ -824,41 +684,6 @@ class ContactProblem:
         self.add_contact(f)
         return changed
 
-    def unheld(self, off: PETSc.Vec) -> list[str]:
-        """The floating pieces that these nodal forces (N) put out of balance by at least a tenth of the worst, in words:
-        those that a pair may hold, and those that nothing does; but for such as contact held firmly in the last equilibrium
-        and touches still (collective)."""
-        touched = self._touched_now() > 0
-        squares = np.bincount(self.bodies.piece_of_dof, weights=off.array_r**2, minlength=self.bodies.pieces)
-        forces = np.nan_to_num(np.sqrt(sum_over(self.comm, squares)), nan=np.inf)
-        found = []
-        for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
-            for piece in body.floating:
-                n = first + piece.number
-                if self.standing.held and touched[n]:
-                    continue
-                held = any(pieces[n] for pieces in self._touched)
-                found.append((forces[n], f"{'contact alone' if held else 'nothing'} holds {piece}"))
-        worst = max((force for force, _ in found), default=0.0)
-        return [words for force, words in found if force >= OUT_OF_BALANCE * worst]
-
-    def about_to_slide(self) -> list[str]:
-        """Of pairs that hold a floating piece and bear nearly all the friction that they can, in an equilibrium: what to do
-        (collective)."""
-        if self.is_at_start:
-            return []
-        loose = np.zeros(self.bodies.pieces, dtype=bool)
-        for first, body in zip(self.bodies.first_piece, self.bodies.bodies, strict=True):
-            loose[[first + piece.number for piece in body.floating]] = True
-        holding = [pair for pair, pieces in zip(self.pairs, self._touched, strict=True) if (pieces & loose).any()]
-        used = {pair.name: pair.friction_in_use() for pair in holding}
-        return [SLIDES.format(name, share) for name, share in used.items() if share > NEARLY_ALL]
-
-    @property
-    def floating(self) -> list[Piece]:
-        """The pieces of bodies that nothing but contact holds."""
-        return [piece for body in self.bodies.bodies for piece in body.floating]
-
     def unsupported(self) -> bool:
         """Whether some piece may float while some pair is open all over (collective)."""
         closed = [any_over(self.comm, pair.active.closed.any()) for pair in self.pairs]
@@ -913,11 +738,6 @@ class ContactProblem:
         if self.lacks_stiffness:
             self.assemble_bulk()
             self._look_what_bears()
-
-    @property
-    def is_at_start(self) -> bool:
-        """Whether there has been no equilibrium yet."""
-        return any(pair.active.guessed for pair in self.pairs)
 
     @property
     def lacks_stiffness(self) -> bool:

@@ -18,7 +18,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from dolfinx_mortar_al.reductions import any_over, max_over
-from dolfinx_mortar_al.surface import ASKEW, SHARP, Facets, surface_normal
+from dolfinx_mortar_al.surface import ASKEW, SHARP, Facets
 from dolfinx_mortar_al.targets import Target
 
 __all__ = ["SharedNodes"]
@@ -61,7 +61,7 @@ class SharedNodes:
         others = [pair for pair in pairs if not pair.target.is_contactor]
         equal = [pair for pair in others if pair.multiplier_order == pair.facets.shape.order]
         self._values = {id(pair.facets.space): fem.Function(pair.facets.space) for pair in equal}
-        normals = [_normals(pair.facets) for pair in equal]
+        normals = [pair.facets.normals() for pair in equal]
         #: pairs, others, and (nf, nodes) which nodes of the first are the other's, too
         self._couples: list[tuple[Sharer, Sharer, Bool]] = []
         for pair, mine in zip(equal, normals, strict=True):
@@ -122,10 +122,3 @@ class SharedNodes:
         field.x.scatter_reverse(InsertMode.add)
         field.x.scatter_forward()
         return np.asarray(nodal[pair.facets.dofs])
-
-
-def _normals(facets: Facets) -> Array:
-    """(nf, nodes, gdim) unit normals at facets' nodes, in the reference configuration."""
-    tangents = facets.shape.tabulate(facets.shape.nodes, 1)[1] @ facets.X[:, None]
-    normal = surface_normal(tangents) * facets.orientation[:, None, None]
-    return np.asarray(normal / np.linalg.norm(normal, axis=2, keepdims=True))

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.places import Places
-from dolfinx_mortar_al.problem import TOLD, ContactProblem
+from dolfinx_mortar_al.problem import ContactProblem
+from dolfinx_mortar_al.problem_findings import TOLD
 from dolfinx_mortar_al.ties import PUSHED, Bearing
 
 __all__ = ["Slides"]

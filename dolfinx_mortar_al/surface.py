@@ -277,6 +277,14 @@ class Facets:
         """(nf,) reference areas (m², or m in two dimensions)."""
         return _areas(self.shape, self.X)
 
+    def extents(self) -> Array:
+        """(nf,) reference areas to the power 1/dim (m)."""
+        return _extents(self.shape, self.X)
+
+    def normals(self) -> Array:
+        """(nf, nodes, gdim) unit normals at the facets' nodes, in the reference configuration."""
+        return _normals(self.shape, self.X, self.orientation)
+
     def widths(self) -> Array:
         """(nf,) reference extents, or less of facets that are longer than wide (m)."""
         return _widths(self.shape, self.X)
@@ -405,9 +413,7 @@ class GatheredFacets:
     @cached_property
     def _own_normals(self) -> Array:
         """(nf, corners, gdim) each facet's unit normal at its corners, in the reference configuration."""
-        tangents = self.shape.tabulate(self.shape.corners, 1)[1] @ self.X[self.facets][:, None]
-        normal = surface_normal(tangents) * self.orientation[:, None, None]
-        return np.asarray(normal / np.linalg.norm(normal, axis=2, keepdims=True))
+        return self.normals()[:, : len(self.shape.corners)]
 
     @cached_property
     def normals_at_corners(self) -> Array:
@@ -481,6 +487,14 @@ class GatheredFacets:
         """(nf,) reference areas (m², or m in two dimensions)."""
         return _areas(self.shape, self.X[self.facets])
 
+    def extents(self) -> Array:
+        """(nf,) reference areas to the power 1/dim (m)."""
+        return _extents(self.shape, self.X[self.facets])
+
+    def normals(self) -> Array:
+        """(nf, nodes, gdim) unit normals at the facets' nodes, in the reference configuration."""
+        return _normals(self.shape, self.X[self.facets], self.orientation)
+
     def widths(self) -> Array:
         """(nf,) reference extents, or less of facets that are longer than wide (m)."""
         return _widths(self.shape, self.X[self.facets])
@@ -503,10 +517,21 @@ def _areas(shape: ShapeFunctions, X: Array) -> Array:
     return np.asarray(np.linalg.norm(surface_normal(a), axis=2) @ weights)
 
 
+def _extents(shape: ShapeFunctions, X: Array) -> Array:
+    """(nf,) areas of facets with nodes X (nf, nodes, gdim) to the power 1/dim."""
+    return np.asarray(_areas(shape, X) ** (1.0 / shape.dim))
+
+
+def _normals(shape: ShapeFunctions, X: Array, orientation: Array) -> Array:
+    """(nf, nodes, gdim) unit normals at the nodes X (nf, nodes, gdim) of facets."""
+    normal = surface_normal(shape.tabulate(shape.nodes, 1)[1] @ X[:, None]) * orientation[:, None, None]
+    return np.asarray(normal / np.linalg.norm(normal, axis=2, keepdims=True))
+
+
 def _widths(shape: ShapeFunctions, X: Array) -> Array:
-    """(nf,) of facets with nodes X (nf, nodes, gdim): their areas to the power 1/dim, as they are of squares and halves of
-    squares, or if that is less, the least distance of a side from the corner that is farthest from it."""
-    extent = _areas(shape, X) ** (1.0 / shape.dim)
+    """(nf,) of facets with nodes X (nf, nodes, gdim): their extents, as they are of squares and halves of squares, or if that
+    is less, the least distance of a side from the corner that is farthest from it."""
+    extent = _extents(shape, X)
     if shape.dim == 1:
         return extent
     corners = X[:, : len(shape.corners)]

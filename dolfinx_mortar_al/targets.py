@@ -162,7 +162,7 @@ class DeformableTarget(Target):
         self.facets, self.neighbours = self.surface.facets, self.surface.neighbours
         self.blocks, self.end_nodes = bodies.common(k, self.surface.blocks), self.surface.end_nodes
         self.size, self.dim = self.surface.size_of_facets, self.surface.shape.dim
-        self.extents, self.spacing = self.surface.areas() ** (1.0 / self.dim), self.surface.shape.spacing
+        self.extents, self.spacing = self.surface.extents(), self.surface.shape.spacing
         self.widths = self.surface.widths()
         self._gdim = bodies.gdim
         where = PETSc.IS().createBlock(self._gdim, self.surface.blocks.astype(np.int32), comm=PETSc.COMM_SELF)

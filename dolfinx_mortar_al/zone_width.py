@@ -38,7 +38,7 @@ class ZoneWidth:
         for places, distances in comm.allgather((own, h)):
             self._h[places] = distances
         self._centres = contactor.X[contactor.facets].mean(axis=1)
-        self._lengths = contactor.areas() ** (1.0 / contactor.shape.dim)
+        self._lengths = contactor.extents()
         self._zone = np.zeros(len(self._centres), dtype=bool)
         self._share: Array = np.zeros(len(self._centres))
 
