@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.compiling import compiled
+from dolfinx_mortar_al.compression import Sheet
 from dolfinx_mortar_al.foreseen_pressure import ForeseenPressure
 from dolfinx_mortar_al.materials import cell_measure, deformation_gradient
 from dolfinx_mortar_al.membrane import area_stretch
@@ -74,6 +75,8 @@ class BodyForms:
         self.constant_values = [np.array(c.value) for c in self.constants]
         #: the residual's Functions but u
         self.fields = [c for c in F.coefficients() if isinstance(c, fem.Function) and c is not u]
+        #: laws of membranes with the measures of their cells, as far as they are known
+        self.sheets: list[Sheet] = []
         self._inverted = compiled(self._inversion_indicator(), self.mesh)
         #: (nodes,) the connected piece of the mesh that each node belongs to, ghosts included; how many there are
         self.piece, self.pieces = pieces_of(self.space)

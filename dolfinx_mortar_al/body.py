@@ -88,6 +88,7 @@ class Body:
         parts: the materials with their measures.
         external: virtual work of the loads as a UFL form, None without any.
         foreseen: for the residual's derivative, of nearly incompressible parts; None without any.
+        sheets: laws of membranes with their measures.
 
     Raises:
         ValueError: on every rank: a material for other cells, parts that leave cells out or have some in common, a density
@@ -125,6 +126,7 @@ class Body:
             check_measures(self.residual, "external")
         laws = [(p.material, p.dx, p.depth) for p in self.parts if isinstance(p.material, Hyperelastic)]
         self.foreseen = ForeseenPressure.of(u, laws)
+        self.sheets = [(p.material, p.dx) for p in self.parts if isinstance(p.material, NeoHookeanMembrane)]
 
     @property
     def width(self) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from dolfinx import fem
@@ -18,6 +19,7 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.active_set import ActiveSet, Decided
 from dolfinx_mortar_al.blocks import Blocks, Tangent
 from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.compression import Compression
 from dolfinx_mortar_al.contact import Contact, coefficient
 from dolfinx_mortar_al.corners import SharpCorners
 from dolfinx_mortar_al.cut_tangent import CutTangent, tangent_of_cuts
@@ -54,6 +56,9 @@ SOFTER = 0.125  # ε over what the bulk yields to pressure at the surface (docs/
 AGAIN = 2  # times that points follow the target's end, or nodes are chosen anew, when a state has converged
 SMALL = 1e-6  # share of its shape functions: a point to which free nodes contribute less is prescribed
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
+AHEAD = (
+    2.0  # times what a compression asks for that grows in a solve: it grows on, and each change of ε is one of the path
+)
 RIPPLING = 2 * np.pi  # slope of a wave as long as a facet, over its amplitude in facets
 OWN = 0.5  # of the bulk's stiffness holds such waves, whatever contact does (docs/newton.md)
 FIRMEST = 12.0  # the same for ε_N in time steps: by p/ε_N, less than 1 % of a facet, do partly closed facets overlap
@@ -125,6 +130,7 @@ class ContactPair(PairFindings):
         )
         self.active = ActiveSet(self.blocks, self.comm)
         self.is_pressed_hard = False
+        self._firmness = 0.0  # what the compression of membranes adds to ε (Pa/m)
         self.target_end = self._make_end()
         #: whether points stay where they are, whatever moves
         self.holds_points = False
@@ -383,9 +389,15 @@ class ContactPair(PairFindings):
     def _hold_flat(self) -> None:
         """Let ε grow with the pressure p where that comes near a body's moduli: on the slope of a ripple as long as a facet,
         which multipliers of a lower order than the displacement do not see, p acts along the surface, and only the body and ε
-        resist it (collective; docs/newton.md). Segments see it, obstacles have no ripples, and membranes have tension."""
+        resist it (collective; docs/newton.md). Segments see it, obstacles have no ripples, and membranes none but under
+        compression."""
+        if isinstance(self.kinematics, StepLevel):
+            return
+        if self.stiffness_ratio == 0.0:
+            self._hold_sheets_flat(self._compression())
+            return
         sees = self.multiplier_order == self.facets.shape.order or self.is_segmented
-        if sees or self.stiffness_ratio == 0.0 or isinstance(self.kinematics, StepLevel):
+        if sees:
             return
         p = np.maximum(self._normal_multiplier(), 0.0)
         slopes = [(self.j * p) @ (p / extents) for extents in self._extents()]
@@ -395,6 +407,32 @@ class ContactPair(PairFindings):
             excess = max(slope / force - OWN * k for slope, k in zip(slopes, self.stiffnesses, strict=True))
         self.is_pressed_hard = excess > 0.0
         self._use_epsilon(self.unit, self.unit, RIPPLING * max(0.0, excess))
+
+    def _hold_sheets_flat(self, firmness: float) -> None:
+        """Let ε grow by a firmness (Pa/m), as far as that of bodies goes: wild iterates are compressed by any force."""
+        self._firmness = min(firmness, FIRMEST * self.stiffness)
+        self._use_epsilon(self.unit, self.unit, self._firmness)
+
+    def _compression(self) -> float:
+        """The firmness (Pa/m) that keeps membranes in contact from rippling within their facets (collective)."""
+        closed, worst = self.active.closed, 0.0
+        if self._compressions and any_over(self.comm, closed.any()):
+            for k, compression in self._compressions.items():
+                facet = self._own[self.integration.facet] if k == 0 else self.at.point.facet
+                worst = max(worst, float(compression.firmness()[facet[closed]].max(initial=0.0)))
+        return max_over(self.comm, worst)
+
+    @cached_property
+    def _compressions(self) -> dict[int, Compression]:
+        """Of those of the contactor, 0, and the target, 1, that are membranes of order 2."""
+        found: dict[int, Compression] = {}
+        wholes = self._contactor, getattr(self.target, "surface", None)
+        for k, (surface, whole) in enumerate(zip((self.contact.contactor, self.contact.target), wholes, strict=True)):
+            if isinstance(surface, Surface) and surface.is_membrane and whole is not None and whole.shape.order > 1:
+                body = self._bodies.bodies[self._bodies.index(surface.mesh)]
+                if body.sheets:
+                    found[k] = Compression(surface, whole, body.u, body.sheets)
+        return found
 
     def _hold_smooth(self) -> None:
         """Hold a multiplier smooth where the contactor is finer than the target, in statics: membranes yield otherwise, and
@@ -605,11 +643,17 @@ class ContactPair(PairFindings):
         self._Λ = self.blocks.multiplier_at_points()
 
     def follow(self) -> bool:
-        """At the start of an iteration: let the kinematics choose anew what they hold; whether it changed (collective)."""
+        """At the start of an iteration: let the kinematics choose anew what they hold, and hold membranes flat that are more
+        compressed than at the solve's start; whether anything changed (collective)."""
         changed = self.kinematics.follow()
         if changed:
             self._read_multiplier()
-        return changed
+        statics = self.stiffness_ratio == 0.0 and not isinstance(self.kinematics, StepLevel)
+        firmness = self._compression() if statics else 0.0
+        firmer = self._firmness < min(firmness, FIRMEST * self.stiffness)
+        if firmer:
+            self._hold_sheets_flat(AHEAD * firmness)
+        return changed or firmer
 
     def follow_segments(self) -> bool:
         """Let the segments follow the bodies, as far as points may move: all that is kept at points moves along. Whether they

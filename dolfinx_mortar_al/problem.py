@@ -120,6 +120,8 @@ class ContactProblem(ProblemFindings):
             jacobians = [jacobian] if isinstance(jacobian, ufl.Form) else jacobian
             foreseen = [body.foreseen if isinstance(body, Body) else None for body in said]
             self.bodies = Bodies(residuals, listed("u", u, fem.Function, "a Function"), bcs, jacobians, foreseen)
+        for body, forms in zip(said, self.bodies.bodies, strict=False):
+            forms.sheets = body.sheets if isinstance(body, Body) else []
         self.comm, self.gdim = self.bodies.comm, self.bodies.gdim
         agreed(self.comm, "contacts: how many", len(contacts))
         Given(self.comm, self.bodies.bodies).check()
