@@ -440,11 +440,18 @@ class Bodies:
             found.append(diagonal)
         return found
 
+    def yielding(self, diagonals: Sequence[fem.Function]) -> list[fem.Function]:
+        """Diagonals of the bulk's stiffness (N/m), on bodies' boundaries as a pressure meets them: by Poisson's ratio in the
+        start state."""
+        found = [diagonal.copy() for diagonal in diagonals]
+        for diagonal, share in zip(found, self._yielding_shares, strict=True):
+            diagonal.x.array[:] *= share.x.array
+        return found
+
     def stiffness(self) -> tuple[list[fem.Function], tuple[Index32, Index32]]:
         """Diagonal of the bulk's stiffness (N/m) of each body, and the pattern of all in compressed rows."""
         diagonals, indptr, indices, entries = [], [np.zeros(1, dtype=np.int32)], [], 0
-        #: the same diagonals, on a body's boundary as a pressure meets them
-        self.yielding = []
+        self._yielding_shares: list[fem.Function] = []
         #: of each body, (owned nodes,) the least stiffness (N/m) that a displacement of a node meets which is not prescribed
         self.softest: list[Array] = []
         for k, body in enumerate(self.bodies):
@@ -455,9 +462,8 @@ class Bodies:
             diagonal.x.scatter_forward()
             diagonals.append(diagonal)
             self.softest.append(softest(body.space, A, body.prescribed()))
-            self.yielding.append(yielding_share(body.space, A))
-            doubt_order(self.yielding[-1], f"u[{k}]")
-            self.yielding[-1].x.array[:] *= diagonal.x.array
+            self._yielding_shares.append(yielding_share(body.space, A))
+            doubt_order(self._yielding_shares[-1], f"u[{k}]")
             rows, columns = A.getValuesCSR()[:2]
             A.destroy()  # the pattern takes less memory
             self._shift(k, columns)

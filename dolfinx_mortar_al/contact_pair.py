@@ -330,9 +330,18 @@ class ContactPair(PairFindings):
         return np.concatenate([values.reshape(-1, self.gdim) for values in [np.zeros((0, self.gdim)), *mine]])
 
     def set_stiffness(self, diagonals: Sequence[fem.Function]) -> None:
-        """Fix ε by what the bulk has at the two surfaces, from diagonals (N/m) of the bodies' matrices."""
-        #: the contactor's and the target's (Pa/m)
-        self.stiffnesses = contactor, target = self._stiffnesses(diagonals)
+        """Fix ε, and the unit of multipliers, by what the bulk has at the two surfaces at the start, from diagonals (N/m) of
+        the bodies' matrices (collective)."""
+        self.take_stiffnesses(self.measured_stiffnesses(diagonals))
+        #: by which multipliers are counted, and their equations (Pa/m); the same as ε at the start
+        self.unit = self.suggested
+        #: the softer side's at the start (Pa/m)
+        self.stiffness_at_start = self.stiffness
+
+    def take_stiffnesses(self, stiffnesses: tuple[float, float]) -> None:
+        """Fix ε by what the bulk has at the contactor and at the target (Pa/m), and what holds multipliers smooth
+        (collective)."""
+        self.stiffnesses = contactor, target = stiffnesses
         c = self.contact
         sides = [c.contactor, c.target] if isinstance(c.target, Surface) else [c.contactor]
         self.stiffness_ratio = 0.0 if any(side.is_membrane for side in sides) else contactor / target
@@ -347,10 +356,11 @@ class ContactPair(PairFindings):
 
     def surface_stiffness(self, diagonals: Sequence[fem.Function]) -> float:
         """The softer side's mean nodal stiffness per facet area (Pa/m), from diagonals (N/m) of the bodies' matrices."""
-        return min(self._stiffnesses(diagonals))
+        return min(self.measured_stiffnesses(diagonals))
 
-    def _stiffnesses(self, diagonals: Sequence[fem.Function]) -> tuple[float, float]:
-        """The contactor's and the target's mean nodal stiffness per facet area (Pa/m)."""
+    def measured_stiffnesses(self, diagonals: Sequence[fem.Function]) -> tuple[float, float]:
+        """The contactor's and the target's mean nodal stiffness per facet area (Pa/m), from diagonals (N/m) of the bodies'
+        matrices (collective)."""
         mine = next(d for d in diagonals if d.function_space is self._body1.space)
         own = self._at_nodes(mine).mean(axis=(1, 2)) / self.integration.sum_by_facet(self.j)
         contactor = sum_over(self.comm, float(own.sum())) / self._facet_count
@@ -371,8 +381,9 @@ class ContactPair(PairFindings):
     def set_law(self, stiffness: float, tangential: float, normal: float) -> None:
         """Fix ε_T and ε_N: the user's, or shares `tangential` and `normal` of the bulk's `stiffness` at the two surfaces
         (Pa/m)."""
-        self.stiffness, self.unit = stiffness, tangential * stiffness
-        self._use_epsilon(normal * stiffness, self.unit)
+        #: the softer side's, and what ε it suggests (Pa/m)
+        self.stiffness, self.suggested = stiffness, tangential * stiffness
+        self._use_epsilon(normal * stiffness, self.suggested)
 
     def _use_epsilon(self, normal: float, tangential: float, more: float = 0.0) -> None:
         """Fix the law by these ε_N and ε_T (Pa/m), or the user's, and by what the pressure adds to either."""
@@ -406,12 +417,12 @@ class ContactPair(PairFindings):
         if force > 0:
             excess = max(slope / force - OWN * k for slope, k in zip(slopes, self.stiffnesses, strict=True))
         self.is_pressed_hard = excess > 0.0
-        self._use_epsilon(self.unit, self.unit, RIPPLING * max(0.0, excess))
+        self._use_epsilon(self.suggested, self.suggested, RIPPLING * max(0.0, excess))
 
     def _hold_sheets_flat(self, firmness: float) -> None:
         """Let ε grow by a firmness (Pa/m), as far as that of bodies goes: wild iterates are compressed by any force."""
         self._firmness = min(firmness, FIRMEST * self.stiffness)
-        self._use_epsilon(self.unit, self.unit, self._firmness)
+        self._use_epsilon(self.suggested, self.suggested, self._firmness)
 
     def _compression(self) -> float:
         """The firmness (Pa/m) that keeps membranes in contact from rippling within their facets (collective)."""
@@ -441,7 +452,7 @@ class ContactPair(PairFindings):
         self.blocks.leave_rough()
         if others or self.target.fixed.all():
             return
-        faced, widths = self._faced(self.gauss, self.target.extents, self.target.widths)
+        (faced, widths), zone = self._faced_at_start
         rigid = np.asarray(self.blocks.fixed.all(axis=(1, 2)))
         length = float(np.mean(self._contactor.extents()))
         moduli = self.stiffnesses[0] * length, self.stiffnesses[1] * float(np.mean(self.target.extents))
@@ -449,13 +460,19 @@ class ContactPair(PairFindings):
         sides = (own, self.facets.widths()), (faced, widths)
         κ = lacking_compliance(self.multiplier, self.target, *sides, moduli, rigid)
         if any_over(self.comm, κ.any()):
-            self.blocks.hold_smooth(κ, ZoneWidth(self._contactor, self._own, self.target.spacing * widths, self.comm))
+            self.blocks.hold_smooth(κ, zone)
+
+    @cached_property
+    def _faced_at_start(self) -> tuple[list[Array], ZoneWidth]:
+        """(nf,) and (nf,) extents and widths of the target's facets that each facet faces; how wide contact is in them."""
+        sizes = self._faced(self.gauss, self.target.extents, self.target.widths)
+        return sizes, ZoneWidth(self._contactor, self._own, self.target.spacing * sizes[1], self.comm)
 
     def far_off(self) -> dict[str, float]:
         """The augmentation parameters that are a user's and more than FAR times more or less than the bulk suggests, over
         that."""
         given = {name: getattr(self.contact, name) for name in ("epsilon_normal", "epsilon_tangential")}
-        ratios = {name: ε / self.unit for name, ε in given.items() if ε is not None}
+        ratios = {name: ε / self.suggested for name, ε in given.items() if ε is not None}
         return {name: ratio for name, ratio in ratios.items() if not 1 / FAR < ratio < FAR}
 
     def far_augmentation(self) -> list[Finding]:
@@ -817,6 +834,7 @@ class ContactPair(PairFindings):
             self.kinematics = StepLevel(self.kinematics)
             self.active.cautious = False
             self.set_law(self.stiffness, FIRMER, FIRMEST)
+            self.unit = self.suggested
         return self.kinematics
 
     def _leave_ends(self) -> None:

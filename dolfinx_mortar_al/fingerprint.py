@@ -81,9 +81,10 @@ def _of_body(body: BodyForms, steps: Sequence[Any]) -> Fingerprint:
 
 def _of_pair(pair: ContactPair) -> Fingerprint:
     contact, target = pair.contact, pair.contact.target
+    given = f"{contact.epsilon_normal} and {contact.epsilon_tangential}"
     said = {
         "friction": repr(pair.friction_at_start),
-        "epsilon": f"{pair.contact.epsilon_normal} and {pair.contact.epsilon_tangential}, {pair.stiffness:.9g} by default",
+        "epsilon": f"{given}, {pair.stiffness_at_start:.9g} by default",
         "multiplier": f"order {pair.multiplier.shape.order}, {pair.multiplier.components} components",
         "projection": contact.projection,
         "thickness": repr(contact.thickness),

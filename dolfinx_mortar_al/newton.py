@@ -564,7 +564,7 @@ class NewtonSolver:
                 "with dynamics.march"
             )
         elif far := [
-            f"{pair.name}: {name} = {ratio * pair.unit:.3g} Pa/m where the bulk suggests {pair.unit:.3g}"
+            f"{pair.name}: {name} = {ratio * pair.suggested:.3g} Pa/m where the bulk suggests {pair.suggested:.3g}"
             for pair in p.pairs
             for name, ratio in pair.far_off().items()
         ]:

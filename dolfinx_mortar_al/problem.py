@@ -22,6 +22,7 @@ from petsc4py import PETSc
 
 from dolfinx_mortar_al.bodies import SLACK, Bodies
 from dolfinx_mortar_al.body import Body
+from dolfinx_mortar_al.bulk_stiffness import BulkStiffness
 from dolfinx_mortar_al.contact import Contact, check_surfaces
 from dolfinx_mortar_al.contact_motions import ContactMotions
 from dolfinx_mortar_al.contact_pair import ContactPair
@@ -158,9 +159,11 @@ class ContactProblem(ProblemFindings):
         self._rough = np.array([pair.friction > 0 for pair in self.pairs], dtype=bool)  # which pairs have friction
         self._contact_motions = ContactMotions(self.bodies, self.pairs, self._touched)
         with self.stopwatch("bulk"):
-            stiffness = self._create_matrices()
+            diagonals = self._create_matrices()
+        #: as pairs take it, and tests for round-off
+        self.stiffness = BulkStiffness(self.bodies, self.pairs, diagonals)
+        self.members = {"stiffness": self.stiffness, **self.members}  # what pairs restore depends on ε
         for pair in self.pairs:
-            pair.set_stiffness(self.bodies.yielding)
             pair.start()
         self._shared_nodes = SharedNodes(self.pairs)
         if self.motions:
@@ -176,9 +179,6 @@ class ContactProblem(ProblemFindings):
         diameter = self.bodies.diameter()
         #: (pieces,) norm of the bulk's forces at the last evaluation on each connected piece, and their round-off (N)
         self.force_scale: Array = np.zeros(self.bodies.pieces)
-        #: (pieces,) largest stiffness times diameter: the size of forces that strain a piece by one (N)
-        self.firmness = self.bodies.stiffest(stiffness) * self.bodies.diameters()
-        self.force_floor, self._least_borne = 2e-15 * self.firmness, SLACK * self.firmness
         #: size of forces that a step of bodies in motion resolves, on all pieces (N); None in statics
         self.force_reference: float | None = None
         self.gap_floor = [max(2e-15 * diameter, pair.kinematics.round_off) * pair.area for pair in self.pairs]
@@ -233,7 +233,7 @@ class ContactProblem(ProblemFindings):
 
     def force_over_firmness(self) -> float:
         """The largest norm of the bulk's forces on a piece over those that strain it by one (collective)."""
-        return float((self.bodies.residual(self.bodies.layout.vector()) / self.firmness).max())
+        return float((self.bodies.residual(self.bodies.layout.vector()) / self.stiffness.firmness).max())
 
     def inverted_volume(self) -> float:
         """Reference volume where det F ≤ 0 or is not a number, at the bulk's Gauss points (collective)."""
@@ -579,7 +579,8 @@ class ContactProblem(ProblemFindings):
 
     def begin(self) -> None:
         """A new solve (collective)."""
-        if not self.motions:  # time steps need one space of multipliers
+        if not self.motions:  # time steps need one space of multipliers, and one ε
+            self.stiffness.follow()
             self._shared_nodes.leave_out(everywhere=False)
         for pair in self.pairs:
             pair.begin()
@@ -748,7 +749,7 @@ class ContactProblem(ProblemFindings):
 
     def _look_what_bears(self) -> None:
         """In a converged state, a piece that bears forces is taut; one that nothing has met is as slack as it was."""
-        self.slack &= self.force_scale <= self._least_borne
+        self.slack &= self.force_scale <= SLACK * self.stiffness.firmness
 
     def commit(self) -> None:
         """The step has converged: it becomes the origin of the next one's slip."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.bulk_stiffness import BulkStiffness
 from dolfinx_mortar_al.contact_motions import ContactMotions
 from dolfinx_mortar_al.contact_pair import ContactPair
 from dolfinx_mortar_al.monitors import Finding, Monitor
@@ -47,6 +48,7 @@ NEARLY_ALL = 0.9  # of the friction: what the next sixteenth of a load's increme
 TOLD = 1e-3  # share of the contact forces that a tie may bear, or round-off may be, unsaid
 OUT_OF_BALANCE = 0.1  # of the worst: loose bodies that a failed solve names
 NOISE = 1e-3  # share of round-off in a body's forces below which a tie bears nothing, and contact does not press on it
+ROUND_OFF = 2e-15  # of a piece's stiffness times its diameter: in its forces
 UNLOADED = 1e-9  # of the most that has pressed on a piece: what Newton's tolerance leaves of it presses on nothing
 
 
@@ -64,13 +66,17 @@ class ProblemFindings:
     #: (pieces,) of each pair, those that it may touch
     _touched: list[NDArray[np.bool_]]
     _contact_motions: ContactMotions
-    #: (pieces,) round-off in the bulk's forces on each (N)
-    force_floor: Array
+    stiffness: BulkStiffness
 
     @property
     def is_at_start(self) -> bool:
         """Whether there has been no equilibrium yet."""
         return any(pair.active.guessed for pair in self.pairs)
+
+    @property
+    def force_floor(self) -> Array:
+        """(pieces,) round-off in the bulk's forces on each (N)."""
+        return ROUND_OFF * self.stiffness.firmness
 
     @property
     def floating(self) -> list[Piece]:
