@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.facet_sides import holding_points
 from dolfinx_mortar_al.projection import Projection, TargetPoint, combine, dot, inverse
-from dolfinx_mortar_al.search import BULGE, balls, where
+from dolfinx_mortar_al.search import tight_balls, where
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions, surface_normal
 
 __all__ = ["ClosestPoint", "closest_in_facet", "penetrates", "project"]
@@ -26,6 +27,7 @@ Index = NDArray[np.int64]
 MAX_ITERATIONS = 30
 TOLERANCE = 1e-9  # on the step in η: Newton squares the error, what is left after such a step is round-off
 MEETING = 1e-9  # of a facet: distances from facets that meet at the closest point differ by less
+LOW, HIGH = -0.5, 1.5  # how far beyond a facet's sides, in η, its closest point is looked for
 AT_SIDE = 1e-6  # |𝐱 − 𝐲| over the facets' size below which its direction is noise: the facet's own normal serves
 
 
@@ -92,12 +94,18 @@ def _closest_on_patch(shape: ShapeFunctions, nodes: Array, x: Array, η: Array) 
         r = x[active] - combine(N, Xa)
         a = dN @ Xa
         A = a @ np.swapaxes(a, 1, 2)
-        H = A - np.einsum("nabk,nki,ni->nab", ddN, Xa, r)
-        convex = (H[:, 0, 0] > 0.2 * A[:, 0, 0]) & (np.linalg.det(H) > 0.1 * np.linalg.det(A))
-        step = np.linalg.solve(np.where(convex[:, None, None], H, A), np.einsum("nai,ni->na", a, r)[..., None])[..., 0]
+        H = A - np.einsum("nabk,nk->nab", ddN, (Xa @ r[:, :, None])[:, :, 0])
+        convex = (H[:, 0, 0] > 0.2 * A[:, 0, 0]) & (_determinant(H) > 0.1 * _determinant(A))
+        step = (inverse(np.where(convex[:, None, None], H, A)) @ (a @ r[:, :, None]))[:, :, 0]
+        if shape.flat:  # that step is exact
+            η += step
+            break
+        now = η[active]
+        # what a bound stops leaves the other direction its whole step: else the points far beside a facet do not come to rest
+        step[((now <= LOW) & (step < 0)) | ((now >= HIGH) & (step > 0))] = 0.0
         step *= np.minimum(1.0, 0.5 / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
-        new = np.clip(η[active] + step, -0.5, 1.5)
-        moved = np.abs(new - η[active]).max(axis=1) > TOLERANCE
+        new = np.clip(now + step, LOW, HIGH)
+        moved = np.abs(new - now).max(axis=1) > TOLERANCE
         η[active] = new
         active = active[moved]
         if not active.size:
@@ -106,6 +114,11 @@ def _closest_on_patch(shape: ShapeFunctions, nodes: Array, x: Array, η: Array) 
     if outside.size:
         η[outside] = _closest_on_edges(shape, nodes[outside], x[outside], η[outside])
     return η
+
+
+def _determinant(A: Array) -> Array:
+    """(n,) of matrices (n, 2, 2)."""
+    return np.asarray(A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0])
 
 
 def _closest_on_edges(shape: ShapeFunctions, nodes: Array, x: Array, η: Array) -> Array:
@@ -177,7 +190,7 @@ def _closest_of(
 ) -> tuple[Index, Index, Array, Array]:
     """Row and column (m,) of the candidates that matter, the point η (m, dim) of each that is closest to 𝐱 and its distance
     (m,): of the facet whose middle is the nearest, and of those in balls no farther than that point."""
-    centre, radius = balls(positions[target.facets])
+    centre, radius = tight_balls(positions[target.facets])
     away = np.where(candidates < 0, np.inf, np.linalg.norm(x[:, None] - centre[candidates], axis=2))
     first = np.argmin(away, axis=1)
     away -= radius[candidates]
@@ -199,15 +212,28 @@ def _closest_of(
 def _no_farther(
     target: GatheredFacets, positions: Array, x: Array, candidates: Index, away: Array, distance: Array
 ) -> tuple[Index, Index]:
-    """Row and column (m,) of the candidates whose balls are `away` (n, k) by no more than `distance` (n,), nor their nodes
-    seen towards their middle: from afar a ball is much deeper than its facet."""
+    """Row and column (m,) of the candidates whose balls are `away` (n, k) by no more than `distance` (n,), and neither are
+    the points that they lie between, seen towards their middle and towards the nearest: from afar a ball is much deeper than
+    its facet, and beside it much nearer."""
     row, column = where(away <= distance[:, None])
-    nodes = positions[target.facets[candidates[row, column]]] - x[row, None]
-    middle = nodes.mean(axis=1)
-    depth = np.einsum("nki,ni->nk", nodes, middle / np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-300))
-    low, high = depth.min(axis=1), depth.max(axis=1)
-    near = low - BULGE[target.shape.order] * (high - low) <= distance[row]
-    return row[near], column[near]
+    points = holding_points(target.shape) @ positions[target.facets]
+    for towards in (_middle, _nearest):
+        r = points[candidates[row, column]] - x[row, None]
+        way = towards(r)
+        way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
+        near = (r @ way[:, :, None])[:, :, 0].min(axis=1, initial=np.inf) <= distance[row]
+        row, column = row[near], column[near]
+    return row, column
+
+
+def _middle(points: Array) -> Array:
+    """(m, gdim) mean of points (m, k, gdim)."""
+    return np.asarray(points.mean(axis=1))
+
+
+def _nearest(points: Array) -> Array:
+    """(m, gdim) that of the points (m, k, gdim) which is nearest to the origin."""
+    return points[np.arange(len(points)), np.einsum("mki,mki->mk", points, points).argmin(axis=1)]
 
 
 def _at(target: GatheredFacets, positions: Array, x: Array, point: TargetPoint) -> tuple[ClosestPoint, Index]:

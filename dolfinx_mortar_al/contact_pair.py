@@ -19,6 +19,7 @@ from petsc4py import PETSc
 from dolfinx_mortar_al.active_set import ActiveSet, Decided
 from dolfinx_mortar_al.blocks import Blocks, Tangent
 from dolfinx_mortar_al.bodies import Bodies
+from dolfinx_mortar_al.closest_point import ClosestPoint
 from dolfinx_mortar_al.compression import Compression
 from dolfinx_mortar_al.contact import Contact, coefficient
 from dolfinx_mortar_al.corners import SharpCorners
@@ -91,6 +92,8 @@ class ContactPair(PairFindings):
         self._contactor, self._own = contactor, contactor.places_of(self.facets)
         self.multiplier_order = contact.multiplier_order or default_order(contactor, contact.target)
         self.is_segmented = contact.integration == "segments" and isinstance(self.target, DeformableTarget)
+        # points, and the target's facets closest to them at the start
+        self._closest_to: tuple[IntegrationPoints, Index] | None = None
         #: Gauss points of whole facets, where λ̂_N is kept from step to step
         self.gauss = self._points(contactor)
         self.integration = self.gauss
@@ -189,9 +192,11 @@ class ContactPair(PairFindings):
         slide, if that is less."""
         faced: list[Array] = [np.full(self.facets.size, float(np.mean(size))) for size in sizes]
         if isinstance(self.target, DeformableTarget) and self.facets.size:
-            at = self.target.at_reference(points.interpolate(self.facets.X))
+            if self._closest_to is None or self._closest_to[0] is not points:
+                at = self.target.at_reference(points.interpolate(self.facets.X))
+                self._closest_to = points, at.point.facet
             for least, size in zip(faced, sizes, strict=True):
-                np.minimum.at(least, points.facet, size[at.point.facet])
+                np.minimum.at(least, points.facet, size[self._closest_to[1]])
         return faced
 
     def _make_segments(self) -> Segments | None:
@@ -510,15 +515,18 @@ class ContactPair(PairFindings):
         none = np.zeros(self.facets.size, dtype=bool), np.zeros(len(self.target.facets), dtype=bool)
         self._converged = Converged(k.nodes(), self.target.place, *none)
         self.follow_segments()
-        k.set_history(self.target.closest(k.positions()).point)
+        closest = self.target.closest(k.positions())
+        k.set_history(closest.point)
         k.evaluate()
-        k.commit(None, np.full(k.points.size, OPEN, dtype=np.int8))
+        k.commit(None, np.full(k.points.size, OPEN, dtype=np.int8), closest.point)
         self._divide()
         self.active.closed = self.touches()
         self.active.begin(self._converged.closed[self.integration.facet])
         self.evaluate()
         self._remember()
-        self._check_sides()
+        self._check_sides(closest)
+        # whether a point lies before the target or faces none of it
+        self._is_in_front = min_over(self.comm, float(_depth(closest).min(initial=np.inf))) < -k.touch
 
     def _divide(self) -> None:
         """Of a surface in contact with itself, choose which parts are contactor. Multipliers of a lower order than the
@@ -531,12 +539,12 @@ class ContactPair(PairFindings):
                 carries = self.target.role[self.target.own] == 0
                 self.blocks.left_out = self.multiplier.touched(carries) & ~carries[:, None]
 
-    def _check_sides(self) -> None:
-        """Contactor and target must face each other somewhere, if they are near each other at all."""
+    def _check_sides(self, closest: ClosestPoint) -> None:
+        """Contactor and target must face each other somewhere, if they are near each other at all: by the points `closest` to
+        the contactor's."""
         if self.target.is_contactor:
             return
         k, comm = self.kinematics, self.comm
-        closest = self.target.closest(k.x)
         same_way = np.einsum("ni,ni->n", k.contactor().normal, closest.ν) > 0.5
         facing = sum_over(comm, int(closest.facing.sum()))
         if facing and sum_over(comm, int((closest.facing & same_way).sum())) == facing:
@@ -559,15 +567,13 @@ class ContactPair(PairFindings):
         Raises:
             ValueError: on every rank.
         """
-        if self.target.is_contactor:
+        if self.target.is_contactor or self._is_in_front:
             return
         k, comm, membrane = self.kinematics, self.comm, self.contact.contactor.is_membrane
-        if min_over(comm, float(self._depth(k.x).min(initial=np.inf))) < -k.touch:
-            return
         body, d = self._body1, self.gdim
         mine = np.isin(body.piece, seen_by_any(comm, body.piece[self.facets.dofs]))
         x = body.space.tabulate_dof_coordinates()[:, :d] + body.u.x.array.reshape(-1, d)
-        depth = self._depth(x[mine])
+        depth = _depth(self.target.closest(x[mine]))
         least = min_over(comm, float(depth.min(initial=np.inf)))
         deepest = max_over(comm, float(depth.max(initial=-np.inf)))
         if least >= -k.touch and deepest > (self.target.size if membrane else k.touch):
@@ -575,11 +581,6 @@ class ContactPair(PairFindings):
                 f"{self.name}: the contactor (tag {self.contact.contactor.tag}) lies with its whole body behind the target "
                 f"({self.contact.target_name}): move it to the other side, or turn the target's normal round"
             )
-
-    def _depth(self, x: Array) -> Array:
-        """(n,) how far positions 𝐱 (n, gdim) lie behind the target's closest point (m), −∞ where they face none."""
-        closest = self.target.closest(x)
-        return np.where(closest.facing, closest.g, -np.inf)
 
     # ---------------------------------------------------------------- state
 
@@ -1032,3 +1033,8 @@ class ContactPair(PairFindings):
             at = self.kinematics.at
             act = np.union1d(act, np.flatnonzero(at.facing & (np.abs(at.g) <= NEAR * self.target.size)))
         return self.blocks.couples(self.kinematics, act)
+
+
+def _depth(closest: ClosestPoint) -> Array:
+    """(n,) how far positions lie behind the target's points `closest` to them (m), −∞ where they face none."""
+    return np.where(closest.facing, closest.g, -np.inf)

@@ -19,7 +19,7 @@ from dolfinx_mortar_al.projection import dot
 from dolfinx_mortar_al.search import where
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions, surface_normal
 
-__all__ = ["is_behind"]
+__all__ = ["holding_points", "is_behind"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -62,7 +62,7 @@ def _bounds(target: GatheredFacets, positions: Array) -> tuple[Array, ...]:
     """
     shape, nodes = target.shape, positions[target.facets]
     points, of_normals = _net(shape.cell, _normal_degree(shape))
-    of_points = _of_nodes(shape.cell, shape.order)
+    of_points = holding_points(shape)
     a = shape.tabulate(points, 1)[1][None] @ nodes[:, None]
     normals = of_normals @ (surface_normal(a) * target.orientation[:, None, None])
     normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-300)
@@ -93,9 +93,14 @@ def _net(cell: basix.CellType, degree: int) -> tuple[Array, Array]:
     return points, _coefficients(cell, degree, points)
 
 
+def holding_points(shape: ShapeFunctions) -> Array:
+    """(m, nodes) from a facet's nodes to points between which it lies, whatever their positions: its polynomial's Bernstein
+    coefficients."""
+    return _of_nodes(shape.cell, shape.order)
+
+
 @cache
 def _of_nodes(cell: basix.CellType, order: int) -> Array:
-    """The same from values at the facet's nodes."""
     return _coefficients(cell, order, ShapeFunctions(cell, order).nodes)
 
 

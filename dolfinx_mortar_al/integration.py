@@ -170,11 +170,12 @@ class IntegrationPoints:
 
     def between(self, values: Array, facet: Index, η: Array) -> Array:
         """(m, …) values (n, …) of these points between them, at (m,) facets and (m, dim) η: weighted by inverse fourth powers
-        of distances (Shepard 1968), so that they are those of a point where one is, and continuous."""
+        of distances (Shepard 1968), so that they are those of a point where one is, and continuous; zero on facets that have
+        none."""
         place, there = self._places(facet)
-        apart = ((self.η[place] - η[:, None]) ** 2).sum(axis=2)
+        apart = sum((self.η[place, i] - η[:, i, None]) ** 2 for i in range(η.shape[1]))
         weight = there / (apart + APART**2) ** 2
-        weight /= weight.sum(axis=1, keepdims=True)
+        weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
         return np.asarray(np.einsum("mk,mk...->m...", weight, values[place]))
 
     def in_line(

@@ -221,16 +221,16 @@ class Kinematics(ABC):
             ρ[anew] = 0.0 if apart is None else apart
         self.set_history(point, ρ)
 
-    def commit(self, unspent: Array | None, status: NDArray[np.int8]) -> None:
+    def commit(self, unspent: Array | None, status: NDArray[np.int8], closest: TargetPoint | None = None) -> None:
         """The step has converged: Y_{n−1} ← Y, from which the slip (n, gdim) that is `unspent` (m) goes on where points are
         closed; those that stick, by `status` (n,), keep the Y from which they do, so that nothing adds up however often they
-        are moved to and fro."""
+        are moved to and fro. `closest`: (n,) the closest points, where they are known."""
         if unspent is not None:
             unspent = np.where((status == OPEN)[:, None], 0.0, unspent)
         point = self.slips_on_from(unspent)
         lost = np.flatnonzero(~self.faced.facing)
         if self.friction and len(lost):  # the slip of what comes back is counted from the nearest point
-            near = self.target.closest(self.x[lost]).point
+            near = self.target.closest(self.x[lost]).point if closest is None else closest.take(lost)
             point.facet[lost], point.η[lost] = near.facet, near.η
         ρ = self.apart(point, self.faced.facing, self.x, self.target.nodes, unspent)
         stuck = status == STICK
@@ -367,9 +367,9 @@ class PositionLevel(Kinematics):
         self._frame = self.target.tangents(self.history, self.slopes)
         return self.x - self.positions_of_history() - carried(self._frame, self.ρ)
 
-    def commit(self, unspent: Array | None, status: NDArray[np.int8]) -> None:
+    def commit(self, unspent: Array | None, status: NDArray[np.int8], closest: TargetPoint | None = None) -> None:
         drift = self._drift() if self.friction else None
-        super().commit(unspent, status)
+        super().commit(unspent, status, closest)
         if drift is not None:
             self.last = replace(self.last, owed=np.where((status == OPEN)[:, None], 0.0, self.slip()))
             self._remember_approach(drift, status == OPEN)

@@ -58,11 +58,12 @@ class LastStep:
         step, stuck bodies that are moved to and fro creep."""
         if not self.stuck.any():
             moved = moved[:0]
+        near = self.points.nearest(points.facet[moved], points.η[moved])
+        moved, near = moved[self.stuck[near]], near[self.stuck[near]]
         facet, η = points.facet[moved], points.η[moved]
-        near = self.points.nearest(facet, η)
         alike = np.where(self.stuck, self.history.facet, -1)
         fields = np.concatenate([self.history.η, self.ρ], axis=1)
         values, enough = self.points.in_line(fields, alike, alike[near], facet, η)
-        keeps = np.flatnonzero(self.stuck[near] & enough)
+        keeps = np.flatnonzero(enough)
         dim = self.history.η.shape[1]
         return moved[keeps], TargetPoint(self.history.facet[near[keeps]], values[keeps, :dim]), values[keeps, dim:]

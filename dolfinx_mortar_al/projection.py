@@ -28,6 +28,10 @@ class TargetPoint:
     def copy(self) -> TargetPoint:
         return TargetPoint(self.facet.copy(), self.η.copy())
 
+    def take(self, index: Index) -> TargetPoint:
+        """Some of them."""
+        return TargetPoint(self.facet[index], self.η[index])
+
 
 @dataclass
 class Projection:
@@ -52,9 +56,8 @@ class Projection:
 
     def take(self, index: Index) -> Self:
         """The projection of some of the points."""
-        point = TargetPoint(self.point.facet[index], self.point.η[index])
         rest = [getattr(self, f.name)[index] for f in fields(self)[1:]]
-        return type(self)(point, *rest)
+        return type(self)(self.point.take(index), *rest)
 
 
 def combine(N: Array, nodes: Array) -> Array:

@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.projection import dot
 from dolfinx_mortar_al.surface import GatheredFacets
 
-__all__ = ["BULGE", "CandidateSearch", "RaySearch", "across", "balls", "candidates", "ray_candidates", "where"]
+__all__ = [
+    "BULGE",
+    "CandidateSearch",
+    "RaySearch",
+    "across",
+    "balls",
+    "candidates",
+    "ray_candidates",
+    "tight_balls",
+    "where",
+]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -28,14 +38,21 @@ MARGIN = 0.25  # of a facet, by which things may move until rays are searched an
 TURN = 0.05  # and by which rays may turn (rad): as much for facets that are five of them away
 BULGE = {1: 1e-9, 2: 0.35}  # by order: what a facet leaves its nodes' box by, over the box; a patch by a third at most
 LEBESGUE = {1: 1.0, 2: 5.0 / 3.0}  # by order: motion of a facet's points over that of its nodes, at most
+TIGHT = 0.81  # of the radius of `balls`: balls around the nodes alone, with 1 % to spare for round-off
 BITS = 10  # of each coordinate along the curve that groups are cut from
 
 
 def balls(facets: Array) -> tuple[Array, Array]:
-    """Centre (nf, gdim) and radius (nf,) of a ball around each facet with nodes (nf, k, gdim)."""
+    """Centre (nf, gdim) and radius (nf,) of a ball around each facet with nodes (nf, k, gdim), with room to spare."""
     centre = facets.mean(axis=1)
     # a facet of order 2 stays within 1.25 times the hull of its nodes seen from their mean (Lebesgue constant)
     return centre, 1.25 * np.linalg.norm(facets - centre[:, None], axis=2).max(axis=1, initial=0.0)
+
+
+def tight_balls(facets: Array) -> tuple[Array, Array]:
+    """The same with less room around facets of order 1, which lie between their nodes."""
+    (centre, radius), (_, k, d) = balls(facets), facets.shape
+    return centre, radius * (TIGHT if k <= 2 ** (d - 1) else 1.0)
 
 
 def _table(row: Index, facet: Index, n: int) -> Index:
@@ -83,7 +100,7 @@ def candidates(x: Array, facets: Array, margin: float) -> Index:
         facets: (nf, nodes, gdim) positions of the facets' nodes.
         margin: allowance for motion (m).
     """
-    centre, radius = balls(facets)
+    centre, radius = tight_balls(facets)
     rows: list[Index] = [np.empty(0, dtype=np.int64)]
     columns: list[Index] = [np.empty(0, dtype=np.int64)]
     for group in _groups(x, len(centre)):
@@ -108,7 +125,7 @@ def ray_candidates(x: Array, normal: Array, facets: Array, margin: float, turn: 
         x: (n, gdim) points; normal: (n, gdim) unit vectors.
         facets: (nf, nodes, gdim) positions of the facets' nodes.
     """
-    centre, radius = balls(facets)
+    centre, radius = tight_balls(facets)
     rows: list[Index] = [np.empty(0, dtype=np.int64)]
     columns: list[Index] = [np.empty(0, dtype=np.int64)]
     for group in _groups(x, len(centre)):
@@ -220,7 +237,7 @@ class RaySearch:
         facets = nodes[self.target.facets]
         row, facet = ray_candidates(x, normal, facets, margin, TURN)
         distance = clearance(self.target.shape.order, x[row], normal[row], facets[facet])
-        centre, radius = balls(facets)
+        centre, radius = tight_balls(facets)
         lever = np.linalg.norm(centre[facet] - x[row], axis=1) + radius[facet]
         kept = distance <= margin + TURN * lever
         self._row, self._facet, self._clearance, self._lever = row[kept], facet[kept], distance[kept], lever[kept]

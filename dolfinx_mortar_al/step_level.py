@@ -141,7 +141,7 @@ class StepLevel(Kinematics):
         self.begin()
         self.set_history(self.end.point)
 
-    def commit(self, unspent: Array | None, status: NDArray[np.int8]) -> None:
+    def commit(self, unspent: Array | None, status: NDArray[np.int8], closest: TargetPoint | None = None) -> None:
         """The next step begins here. Of the slip goes on what has not become sliding, for the multipliers of the nodes do not
         see all of it: where a facet is partly closed stuck points would creep if each step forgot it."""
         if unspent is not None:

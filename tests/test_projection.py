@@ -6,7 +6,8 @@ import pytest
 from scipy.optimize import minimize
 
 from dolfinx_mortar_al import search
-from dolfinx_mortar_al.closest_point import project
+from dolfinx_mortar_al.closest_point import closest_in_facet, project
+from dolfinx_mortar_al.projection import combine
 from dolfinx_mortar_al.search import CandidateSearch, candidates, ray_candidates
 from dolfinx_mortar_al.surface import GatheredFacets, ShapeFunctions
 
@@ -76,6 +77,39 @@ def test_distance_is_that_of_a_slow_minimisation(cell, order):
     assert np.allclose(np.abs(at.g), np.linalg.norm(x - at.y, axis=1), atol=1e-13)
     assert np.allclose(np.linalg.norm(at.ν, axis=1), 1.0, atol=1e-13)
     assert np.allclose(x, at.y - at.g[:, None] * at.ν, atol=1e-12)  # x − y is along ν, also on edges and vertices
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("cell", CELLS)
+def test_points_far_away_find_the_closest_of_all_facets(cell, order):
+    """Bounds leave out the facets that cannot hold the closest point, and no other."""
+    surface = curved_surface(cell, order)
+    x = np.random.default_rng(5).uniform(-3.0, 4.0, (200, surface.shape.dim + 1))
+    at = project(surface, surface.X, x, candidates(x, surface.X[surface.facets], 0.0))
+    distances = []
+    for nodes in surface.X[surface.facets]:
+        every = np.repeat(nodes[None], len(x), axis=0)
+        y = combine(surface.shape.tabulate(closest_in_facet(surface.shape, every, x))[0], every)
+        distances.append(np.linalg.norm(x - y, axis=1))
+    assert np.allclose(np.linalg.norm(x - at.y, axis=1), np.min(distances, axis=0), rtol=1e-13)
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_points_beside_a_flat_facet_come_to_rest_in_a_few_iterations(cell, monkeypatch):
+    """From far beside it in one direction, the other one is not shortened."""
+    shape = ShapeFunctions(CELLS[cell], 2)
+    nodes = np.concatenate([shape.nodes @ [[1.0, 0.2], [0.1, 0.8]], np.zeros((len(shape.nodes), 1))], axis=1)
+    x = np.random.default_rng(6).uniform(-9.0, 9.0, (200, 3))
+    nodes = np.repeat(nodes[None], len(x), axis=0)
+    tabulate, looks = shape.tabulate, []
+
+    def looked(η, derivatives=0):
+        looks.extend([len(η)] if derivatives == 2 else [])
+        return tabulate(η, derivatives)
+
+    monkeypatch.setattr(shape, "tabulate", looked)
+    closest_in_facet(shape, nodes, x)
+    assert len(looks) < 10  # 30 are allowed
 
 
 def test_gap_is_continuous_across_a_vertex_and_its_sign_says_inside():
