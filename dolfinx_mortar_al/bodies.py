@@ -120,6 +120,14 @@ class BodyForms:
         X = self.space.tabulate_dof_coordinates()[: self.owned, : self.mesh.geometry.dim]
         return np.asarray(X + self.u.x.array[: X.size].reshape(X.shape))
 
+    def volumes(self) -> Array:
+        """(owned nodes,) ∫ φ dΩ of their shape functions φ: the reference volume that is theirs (m³, m² in the plane)."""
+        v = ufl.TestFunction(self.space)
+        b = fem.Function(self.space)
+        fem.assemble_vector(b.x.array, compiled(v[0] * cell_measure(self.u), self.mesh))
+        b.x.scatter_reverse(la.InsertMode.add)
+        return np.asarray(b.x.array[: self.owned * self.mesh.geometry.dim : self.mesh.geometry.dim])
+
     def last_residual(self) -> Array:
         """(owned dofs,) what :meth:`residual` returned last (N)."""
         return np.asarray(self._residual.x.petsc_vec.array_r)
@@ -523,6 +531,10 @@ class Bodies:
             field.x.array[self.gdim * cells[is_marked[cells].any(axis=1)]] = 1.0
             field.x.scatter_reverse(la.InsertMode.add)
         return np.asarray(self.owned(self._marks)[:: self.gdim] > 0)
+
+    def volumes(self) -> Array:
+        """(owned nodes,) the reference volume that is each node's (m³, m² in the plane), collective."""
+        return np.concatenate([body.volumes() for body in self.bodies])
 
     def owned_positions(self) -> Array:
         """(owned nodes, gdim) reference positions of this rank's nodes in the common numbering (m)."""

@@ -42,6 +42,14 @@ class ContactMotions:
         """(pieces,) the sum over the pairs that touch each piece of one value per pair."""
         return np.asarray(np.array(values) @ self._touched)
 
+    def turns(self) -> Array:
+        """(pieces,) by how much the surfaces of the pairs that touch each piece turn over a facet (rad), less what friction
+        can make up for, in the mean over the contact forces."""
+        pressing = np.maximum([pair.pressing() for pair in self._pairs], 0.0)  # points that pull may still be closed
+        turns = np.array([pair.largest_turn - 2.0 * np.arctan(pair.friction_coefficient) for pair in self._pairs])
+        mean = self.on_pieces(pressing * turns) / np.maximum(self.on_pieces(pressing), 1e-300)
+        return np.maximum(mean, 0.0)
+
     def _relative(self, motions: Array) -> list[Array]:
         """(n, motions, gdim) velocities of each pair's points relative to what they face that displacements (owned dofs,
         motions) bring about."""

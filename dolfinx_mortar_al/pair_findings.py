@@ -367,6 +367,11 @@ class PairFindings(PairResults):
         """Whether some of those are straight."""
         return any((side.sagittas[side.rises == 0.0] > 0.0).any() for side in self._sides)
 
+    @cached_property
+    def largest_turn(self) -> float:
+        """By how much a surface of the pair turns over a facet at most, but at sharp corners (rad)."""
+        return max(float(side.smooth_turns.max(initial=0.0)) for side in self._sides)
+
     @property
     def _sides(self) -> list[GatheredFacets]:
         """The meshed surfaces of the pair."""

@@ -574,6 +574,7 @@ class ContactProblem(ProblemFindings):
             present,
             self._no_press(),
             self._touched * len(self.pairs),
+            self._contact_motions.turns(),
             self._contact_motions.rubbing,
         )
 

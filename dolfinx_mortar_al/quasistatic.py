@@ -623,7 +623,9 @@ class _LoadControl(Controller[Step]):
     def failure(self, reason: str) -> str:
         reason += RESTLESS if self._restless else ""
         narrow = map(str, self.problem.narrow_zones())
-        reason = "; ".join([reason, *self.problem.about_to_slide(), *narrow, *self._doubts([self._legs[self.leg]], FAR)])
+        reason = "; ".join(
+            [reason, *self.problem.about_to_slide(), *narrow, *self._doubts([self._legs[self.leg]], FAR)]
+        )
         return f"no convergence at {self._tried} with the smallest step: {reason}; the steps up to {self._at} are converged"
 
 

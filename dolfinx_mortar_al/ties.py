@@ -41,6 +41,7 @@ RUBS = (
 )
 SPARE = 1e-3  # of a motion's square where points stick: from 2e-3 on as columns rock, wheels roll with 4e-4 at most
 HOLDS = 0.1  # of a motion's square, in the mean over what faces each other, from which on what touches holds it
+RADIUS = np.sqrt(2.0)  # of a disc over the root of the mean square distance of its matter from its middle
 HELD = 1e-6  # norm over prescribed components of a rigid motion, one in the mean over the nodes, that is let be
 SAME = 0.1  # difference of two projections onto motions that count as the same
 WEAK = 1e-6  # share of a tie that springs at the nodes have, which make the sparse Jacobian regular,
@@ -106,6 +107,7 @@ class Ties:
     def __init__(self, bodies: Bodies, diagonal: Array) -> None:
         self._bodies, d = bodies, bodies.gdim
         self._piece, self._prescribed = bodies.piece_of_dof[::d], bodies.prescribed().reshape(-1, d)
+        self._volumes: Array = bodies.volumes()
         each = np.stack([np.ones(len(self._piece)), diagonal.reshape(-1, d).mean(axis=1)])
         count, total = sum_over(bodies.comm, self._by_piece(each.T)).T
         self._nodes = np.maximum(count, 1.0)
@@ -123,7 +125,8 @@ class Ties:
         self.borne: Array = np.zeros(bodies.pieces)
         self.elastic: Array = np.zeros_like(self.resistance)
         self.trusts: Flags = np.zeros(1, dtype=bool)
-        self._free: Array = np.zeros_like(self.resistance)  # projects onto the motions that are tied
+        self._free: Array = np.zeros_like(self.resistance)  # projects onto the motions that are tied,
+        self._basis: Array = np.zeros((self._n, 0))  # orthonormal ones
         self.motions: Array = np.zeros((0, len(diagonal)))
         self.ways: Array = np.zeros((0, len(diagonal)))
         self.softness = 1.0
@@ -277,7 +280,7 @@ class Ties:
     def _tie(self, R: Array, free: Array) -> None:
         """Tie the pieces along orthonormal combinations (motions of all pieces, ·) of the rigid motions R, each counted in
         what a tie of its piece resists it with."""
-        self._free = free @ free.T
+        self._basis, self._free = free, free @ free.T
         self.motions, self.ways = (
             self._all_of(R, scale[:, None] * free).T.copy() for scale in (self._root, self._inverse)
         )
@@ -394,11 +397,46 @@ class Ties:
     def along(self, forces: Array) -> Array:
         """(pieces, motions) of nodal forces (owned dofs,) what acts along the tied motions, at the present positions (N,
         collective)."""
+        return self._along(self._works(self._rigid_motions(), forces), self._free)
+
+    def _works(self, R: Array, forces: Array) -> Array:
+        """(pieces, motions) of nodal forces (owned dofs,) along the rigid motions R of each piece (N, collective)."""
         f = forces.reshape(len(self._piece), -1)
-        total = sum_over(self._bodies.comm, self._by_piece(np.einsum("nim,ni->nm", self._rigid_motions(), f)))
+        return np.asarray(sum_over(self._bodies.comm, self._by_piece(np.einsum("nim,ni->nm", R, f))))
+
+    def _along(self, works: Array, free: Array) -> Array:
+        """(pieces, motions) of `works` (pieces, motions) what is of the motions that `free` projects onto (N)."""
         nodes = np.sqrt(self._nodes)[:, None]
-        free = self._free @ (self._inverse * (total / nodes).ravel())
-        return np.asarray((self._root * free).reshape(total.shape) * nodes)
+        along = free @ (self._inverse * (works / nodes).ravel())
+        return np.asarray((self._root * along).reshape(works.shape) * nodes)
+
+    def pushing(self, forces: Array, turns: Array) -> Array:
+        """(pieces,) norm of what nodal forces (owned dofs,) push with along the tied motions (N). In motions by which pieces
+        turn where they are, but for as little as facets of surfaces that turn by so much each, (pieces,) in rad, can tell,
+        a force through the centroid pushes with nothing (collective)."""
+        R = self._rigid_motions()
+        works = self._works(R, forces)
+        of_centroid = self._of_centroids(R)
+        through = np.einsum("pim,pi->pm", of_centroid, works[:, : self._bodies.gdim])
+        pushing = self._along(works, self._free) - self._along(through, self._spins(of_centroid, turns))
+        return np.asarray(np.linalg.norm(pushing, axis=1))
+
+    def _of_centroids(self, R: Array) -> Array:
+        """(pieces, gdim, motions) how the pieces' centroids move in their rigid motions R (collective)."""
+        total = sum_over(self._bodies.comm, self._by_piece(self._volumes[:, None, None] * R))
+        volume = sum_over(self._bodies.comm, self._by_piece(self._volumes))
+        return np.asarray(total / volume[:, None, None])
+
+    def _spins(self, of_centroid: Array, turns: Array) -> Array:
+        """(motions of all pieces, ·) projects onto those tied motions in which centroids, which move by `of_centroid`
+        (pieces, gdim, motions), all together move by less than the angles of turn times `turns` (pieces,) and radii."""
+        nodes = np.sqrt(self._nodes)[:, None, None]
+        ways = (self._inverse[:, None] * self._basis).reshape(*of_centroid.shape[::2], -1) / nodes
+        moved = (of_centroid @ ways).reshape(-1, ways.shape[2])
+        turned = (RADIUS * turns[:, None, None] * ways[:, self._bodies.gdim :]).reshape(-1, ways.shape[2])
+        share, axes = np.linalg.eigh(moved.T @ moved - turned.T @ turned)
+        spins = self._basis @ axes[:, share < 0.0]
+        return np.asarray(spins @ spins.T)
 
     def bearing(
         self,
@@ -408,15 +446,16 @@ class Ties:
         present: Array,
         noise: Array,
         touched: list[Flags],
+        turns: Array,
         rubbing: Callable[[Array], Array],
     ) -> Bearing:
         """What ties bear where `bulk` (owned dofs,) are the bodies' forces with those of ties, and the contact forces on each
         piece, `present` ones, those `before`, in the last equilibrium, and the `most` in this solve (pieces,), in N; less
         than `noise` (pieces,) is nothing. What pushes one of the pieces that a pair has `touched` (pieces,) pushes the
         others. `rubbing` gives of displacements (owned dofs,) the mean square over the contact forces on each piece (pieces,)
-        of what goes along surfaces with friction (collective)."""
+        of what goes along surfaces with friction; `turns` are as in :meth:`pushing` (collective)."""
         f = self.forces()
-        borne, pushed = self.along(f), np.linalg.norm(self.along(bulk - f), axis=1)
+        borne, pushed = self.along(f), self.pushing(bulk - f, turns)
         borne *= (np.linalg.norm(borne, axis=1) > noise)[:, None]
         pushed *= pushed > noise
         size, here = np.linalg.norm(borne, axis=1), np.maximum(np.maximum(present, pushed), 1e-300)
