@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.contact_pair import ContactPair
-from dolfinx_mortar_al.reductions import sum_over
+from dolfinx_mortar_al.reductions import any_over
 
 __all__ = ["BulkStiffness"]
 
@@ -37,53 +37,50 @@ class BulkStiffness:
     """
 
     def __init__(self, bodies: Bodies, pairs: Sequence[ContactPair], diagonals: Sequence[fem.Function]) -> None:
-        self._bodies, self._pairs = bodies, pairs
+        self._bodies, self._pairs, self._start = bodies, pairs, bodies.get()
         self._diameters = bodies.diameters()
         self.firmness = bodies.stiffest(diagonals) * self._diameters
         for pair in pairs:
             pair.set_stiffness(bodies.yielding(diagonals))
-        self._given = self._sizes()
+        self._given = self._magnitudes()
 
     def follow(self) -> None:
         """Measure again what numbers and fields of the forms may have changed, if any is FAR from what it was when that was
-        done last (collective). Loads are among them, and cost an assembly at each such change."""
-        now = self._sizes()
-        if not np.any(_far(now, self._given)):
+        done last (collective). It is done in the start state, lest what bodies do is taken for what they are made of. Loads
+        are among the numbers, and cost an assembly at each such change."""
+        now = self._magnitudes()
+        if not any_over(self._bodies.comm, np.any(_far(now, self._given))):
             return
-        self._given, diagonals = now, self._bodies.diagonals()
+        self._given, present = now, self._bodies.get()
+        self._bodies.set(self._start)
+        diagonals = self._bodies.diagonals()
+        self._bodies.set(present)
         firmness = self._bodies.stiffest(diagonals) * self._diameters
         self.firmness = np.where(_far(firmness, self.firmness), firmness, self.firmness)
         yielding = self._bodies.yielding(diagonals)
         for pair in self._pairs:
             measured = pair.measured_stiffnesses(yielding)
-            if np.any(_far(np.array(measured), np.array(pair.stiffnesses))):
+            if min(measured) > 0 and np.any(_far(np.array(measured), np.array(pair.stiffnesses))):
                 pair.take_stiffnesses(measured)
 
-    def _sizes(self) -> Array:
-        """Magnitudes of the numbers of all forms, and sums of those of the fields' values (collective)."""
+    def _magnitudes(self) -> Array:
+        """Of the numbers of all forms, and of this rank's values of fields."""
         numbers = [np.ravel(c.value) for body in self._bodies.bodies for c in body.constants]
-        fields = [f for body in self._bodies.bodies for f in body.fields]
-        sums = np.array([np.abs(f.x.array[: _owned(f)]).sum() for f in fields])
-        sums = sum_over(self._bodies.comm, sums) if fields else sums
-        return np.abs(np.concatenate([np.zeros(0), *numbers, sums]))
+        fields = [f.x.array for body in self._bodies.bodies for f in body.fields]
+        return np.abs(np.concatenate([np.zeros(0), *numbers, *fields]))
 
     def snapshot(self) -> dict[str, Array]:
-        """Copies of what has been measured, and when."""
+        """What has been measured, and with what; arrays that are replaced, not changed."""
         stiffnesses = np.array([pair.stiffnesses for pair in self._pairs])
-        return {"given": self._given.copy(), "firmness": self.firmness.copy(), "stiffnesses": stiffnesses}
+        return {"given": self._given, "firmness": self.firmness, "stiffnesses": stiffnesses}
 
     def restore(self, saved: dict[str, Array]) -> None:
         """Back to a snapshot."""
-        self._given, self.firmness = saved["given"].copy(), saved["firmness"].copy()
+        self._given, self.firmness = saved["given"], saved["firmness"]
         for k, pair in enumerate(self._pairs):
             stiffnesses = float(saved["stiffnesses"][k, 0]), float(saved["stiffnesses"][k, 1])
             if pair.stiffnesses != stiffnesses:
                 pair.take_stiffnesses(stiffnesses)
-
-
-def _owned(field: fem.Function) -> int:
-    dofs = field.function_space.dofmap
-    return int(dofs.index_map.size_local * dofs.index_map_bs)
 
 
 def _far(now: Array, then: Array) -> NDArray[np.bool_]:

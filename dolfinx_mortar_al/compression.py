@@ -2,7 +2,7 @@
 
 A membrane of order 2 may ripple within its facets where multipliers of order 1 see nothing, 𝐰 ⟂ their shape functions. A
 tension N resists with ∫ N |∇𝐰|², a compression drives it on, and but for contact's ∫ ε 𝐰² nothing stops it. The largest
-∫ |∇𝐰|²/∫ 𝐰² of such ripples on a facet is STEEPEST over its extent squared, for each direction that is compressed.
+∫ |∇𝐰|²/∫ 𝐰² of such ripples on a facet is STEEPEST over its width squared, for each direction that is compressed.
 """
 
 from __future__ import annotations
@@ -49,8 +49,7 @@ class Compression:
         )
         self._values = fem.Function(cellwise)
         self._dofs = cellwise.dofmap.list[facets.entities, 0]
-        areas = facets.areas()
-        self._over = STEEPEST * facets.shape.dim / (areas * areas ** (2.0 / facets.shape.dim))
+        self._over = STEEPEST * facets.shape.dim / (facets.areas() * facets.widths() ** 2)
         self._size, self._places = len(whole.facets), self._comm.allgather(whole.places_of(facets))
 
     def firmness(self) -> Array:

@@ -57,9 +57,7 @@ SOFTER = 0.125  # ε over what the bulk yields to pressure at the surface (docs/
 AGAIN = 2  # times that points follow the target's end, or nodes are chosen anew, when a state has converged
 SMALL = 1e-6  # share of its shape functions: a point to which free nodes contribute less is prescribed
 FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
-AHEAD = (
-    2.0  # times what a compression asks for that grows in a solve: it grows on, and each change of ε is one of the path
-)
+FLAT = 50.0  # of a membrane's stiffness: what a compression by half asks for (docs/membranes.md); wild iterates ask for more
 RIPPLING = 2 * np.pi  # slope of a wave as long as a facet, over its amplitude in facets
 OWN = 0.5  # of the bulk's stiffness holds such waves, whatever contact does (docs/newton.md)
 FIRMEST = 12.0  # the same for ε_N in time steps: by p/ε_N, less than 1 % of a facet, do partly closed facets overlap
@@ -337,7 +335,19 @@ class ContactPair(PairFindings):
     def set_stiffness(self, diagonals: Sequence[fem.Function]) -> None:
         """Fix ε, and the unit of multipliers, by what the bulk has at the two surfaces at the start, from diagonals (N/m) of
         the bodies' matrices (collective)."""
-        self.take_stiffnesses(self.measured_stiffnesses(diagonals))
+        measured = contactor, target = self.measured_stiffnesses(diagonals)
+        for side, stiffness in (
+            (f"contactor (tag {self.contact.contactor.tag})", contactor),
+            (f"target ({self.contact.target_name})", target),
+        ):
+            if not stiffness > 0:
+                why = "has no internal virtual work on its cells, or with the wrong sign"
+                if np.isnan(stiffness):
+                    why = "or its derivative is not a number there: a division by zero, a root or logarithm of too little?"
+                raise ValueError(
+                    f"{self.name}: the {side} meets a stiffness of {stiffness:.3g} Pa/m in the start state: F {why}"
+                )
+        self.take_stiffnesses(measured)
         #: by which multipliers are counted, and their equations (Pa/m); the same as ε at the start
         self.unit = self.suggested
         #: the softer side's at the start (Pa/m)
@@ -367,20 +377,9 @@ class ContactPair(PairFindings):
         """The contactor's and the target's mean nodal stiffness per facet area (Pa/m), from diagonals (N/m) of the bodies'
         matrices (collective)."""
         mine = next(d for d in diagonals if d.function_space is self._body1.space)
-        own = self._at_nodes(mine).mean(axis=(1, 2)) / self.integration.sum_by_facet(self.j)
+        own = self._at_nodes(mine).mean(axis=(1, 2)) / self.gauss.sum_by_facet(self.gauss.j)
         contactor = sum_over(self.comm, float(own.sum())) / self._facet_count
         target = self.target.stiffness(diagonals, self.thickness)
-        for side, stiffness in (
-            (f"contactor (tag {self.contact.contactor.tag})", contactor),
-            (f"target ({self.contact.target_name})", target),
-        ):
-            if not stiffness > 0:
-                why = "has no internal virtual work on its cells, or with the wrong sign"
-                if np.isnan(stiffness):
-                    why = "or its derivative is not a number there: a division by zero, a root or logarithm of too little?"
-                raise ValueError(
-                    f"{self.name}: the {side} meets a stiffness of {stiffness:.3g} Pa/m in the start state: F {why}"
-                )
         return contactor, target
 
     def set_law(self, stiffness: float, tangential: float, normal: float) -> None:
@@ -425,8 +424,8 @@ class ContactPair(PairFindings):
         self._use_epsilon(self.suggested, self.suggested, RIPPLING * max(0.0, excess))
 
     def _hold_sheets_flat(self, firmness: float) -> None:
-        """Let ε grow by a firmness (Pa/m), as far as that of bodies goes: wild iterates are compressed by any force."""
-        self._firmness = min(firmness, FIRMEST * self.stiffness)
+        """Let ε grow by a firmness (Pa/m), within bounds."""
+        self._firmness = min(firmness, FLAT * self.stiffness)
         self._use_epsilon(self.suggested, self.suggested, self._firmness)
 
     def _compression(self) -> float:
@@ -668,9 +667,9 @@ class ContactPair(PairFindings):
             self._read_multiplier()
         statics = self.stiffness_ratio == 0.0 and not isinstance(self.kinematics, StepLevel)
         firmness = self._compression() if statics else 0.0
-        firmer = self._firmness < min(firmness, FIRMEST * self.stiffness)
-        if firmer:
-            self._hold_sheets_flat(AHEAD * firmness)
+        firmer = self._firmness < min(firmness, FLAT * self.stiffness)
+        if firmer:  # at once as firm as can be: it grows on, and while it does ripples have begun
+            self._hold_sheets_flat(np.inf)
         return changed or firmer
 
     def follow_segments(self) -> bool:

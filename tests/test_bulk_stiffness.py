@@ -13,10 +13,10 @@ SLAB, BLOCK, BED, FOOT, FACE, TOP = 1, 2, 11, 12, 13, 14
 
 
 class Pressed:
-    """A block of 10 facets on a slab of 12 below it, pressed and dragged by its top, with friction; E is a Constant, or a
-    Function, of 100 Pa."""
+    """A block of 10 facets on a slab of 12, pressed and dragged by its top, with friction; E is `factor` times 100 Pa,
+    a Constant, or a Function, which is 10⁸ Pa in the lowest cells if these are a `plate`."""
 
-    def __init__(self, *, field=False):
+    def __init__(self, factor=1.0, *, field=False, plate=False):
         boxes = [
             Box([0.0, 0.0], [3.0, 1.0], [12, 3], SLAB, {(1, 0): BED, (1, 1): FACE}),
             Box([1.0, 1.0], [1.0, 0.5], [10, 5], BLOCK, {(1, 0): FOOT, (1, 1): TOP}),
@@ -26,7 +26,8 @@ class Pressed:
         dx = ufl.Measure("dx", domain, subdomain_data=cells)
         self.E = fem.Function(fem.functionspace(domain, ("DG", 0))) if field else fem.Constant(domain, 0.0)
         self.lead = fem.Constant(domain, np.zeros(2))
-        self.stiffen(1.0)
+        self.plate = plate
+        self.stiffen(factor)
         bed, top = (fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BED, TOP))
         bcs = [fem.dirichletbc(np.zeros(2), bed, V), fem.dirichletbc(self.lead, top, V)]
         laws = [(materials.neo_hookean(k * self.E, 0.3), dx(tag)) for k, tag in ((1.0, SLAB), (2.0, BLOCK))]
@@ -36,7 +37,7 @@ class Pressed:
     def stiffen(self, factor):
         """Set E to so many times 100 Pa."""
         if isinstance(self.E, fem.Function):
-            self.E.x.array[:] = 100.0 * factor
+            self.E.interpolate(lambda x: np.where((x[1] < 1 / 3) & self.plate, 1e8, 100.0 * factor))
         else:
             self.E.value = 100.0 * factor
 
@@ -57,6 +58,24 @@ def test_moduli_may_change_after_the_problem_was_made(field):
     late.stiffen(100.0)
     for to in (PRESSED, DRAGGED):
         assert np.allclose(late.go(to) / 100.0, soft.go(to), rtol=1e-8, atol=1e-10)
+
+
+def test_a_part_may_change_beside_a_stiffer_one():
+    """Whatever is larger in the same field and stays."""
+    early, late = (Pressed(factor, field=True, plate=True) for factor in (100.0, 1.0))
+    late.stiffen(100.0)
+    assert np.allclose(late.go(PRESSED), early.go(PRESSED), rtol=1e-8, atol=1e-8)
+    assert late.problem.pairs[0].epsilon.normal == pytest.approx(early.problem.pairs[0].epsilon.normal, rel=1e-9)
+
+
+def test_what_bears_nothing_any_more_is_no_error():
+    """A body that loses its stiffness keeps its ε."""
+    scene = Pressed()
+    scene.go(PRESSED)
+    ε = scene.problem.pairs[0].epsilon
+    scene.stiffen(0.0)
+    scene.problem.stiffness.follow()
+    assert scene.problem.pairs[0].epsilon == ε
 
 
 def test_moduli_may_change_in_contact():
