@@ -40,8 +40,9 @@ class BulkStiffness:
         self._bodies, self._pairs, self._start = bodies, pairs, bodies.get()
         self._diameters = bodies.diameters()
         self.firmness = bodies.stiffest(diagonals) * self._diameters
+        yielding = bodies.yielding(diagonals)
         for pair in pairs:
-            pair.set_stiffness(bodies.yielding(diagonals))
+            pair.set_stiffness(yielding)
         self._given = self._magnitudes()
 
     def follow(self) -> None:
@@ -59,8 +60,8 @@ class BulkStiffness:
         self.firmness = np.where(_far(firmness, self.firmness), firmness, self.firmness)
         yielding = self._bodies.yielding(diagonals)
         for pair in self._pairs:
-            measured = pair.measured_stiffnesses(yielding)
-            if min(measured) > 0 and np.any(_far(np.array(measured), np.array(pair.stiffnesses))):
+            now = np.array(measured := pair.measured_stiffnesses(yielding))
+            if np.all(now > 0) and np.any(_far(now, np.array(pair.stiffnesses))):
                 pair.take_stiffnesses(measured)
 
     def _magnitudes(self) -> Array:

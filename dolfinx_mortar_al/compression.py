@@ -24,9 +24,7 @@ Array = NDArray[np.float64]
 #: a membrane's law and the measure of its cells
 Sheet = tuple[NeoHookeanMembrane, ufl.Measure]
 
-STEEPEST = (
-    60.0  # of parabolas without moments of order 0 and 1 on an interval or a quadrilateral; on triangles it is 45
-)
+STEEPEST = 60.0  # of parabolas without moments of order 0 and 1 on intervals and quadrilaterals; on triangles it is 45
 
 
 class Compression:

@@ -431,7 +431,9 @@ class ContactPair(PairFindings):
     def _compression(self) -> float:
         """The firmness (Pa/m) that keeps membranes in contact from rippling within their facets (collective)."""
         closed, worst = self.active.closed, 0.0
-        if self._compressions and any_over(self.comm, closed.any()):
+        if not self._compressions:
+            return worst
+        if any_over(self.comm, closed.any()):
             for k, compression in self._compressions.items():
                 facet = self._own[self.integration.facet] if k == 0 else self.at.point.facet
                 worst = max(worst, float(compression.firmness()[facet[closed]].max(initial=0.0)))

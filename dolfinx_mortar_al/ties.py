@@ -41,7 +41,7 @@ RUBS = (
 )
 SPARE = 1e-3  # of a motion's square where points stick: from 2e-3 on as columns rock, wheels roll with 4e-4 at most
 HOLDS = 0.1  # of a motion's square, in the mean over what faces each other, from which on what touches holds it
-RADIUS = np.sqrt(2.0)  # of a disc over the root of the mean square distance of its matter from its middle
+RADIUS = np.sqrt(2.0)  # of a disc over its matter's root mean square distance from its middle; less of balls and rings
 HELD = 1e-6  # norm over prescribed components of a rigid motion, one in the mean over the nodes, that is let be
 SAME = 0.1  # difference of two projections onto motions that count as the same
 WEAK = 1e-6  # share of a tie that springs at the nodes have, which make the sparse Jacobian regular,
