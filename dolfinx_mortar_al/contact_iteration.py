@@ -38,6 +38,10 @@ ENOUGH = 0.01  # of the residual that Newton's step started from: the bulk's non
 CHORD = 0.2  # of the residual: steps with an old derivative go on while each leaves less,
 HALF = 0.5  # in space, where a Newton iteration costs several of them
 SOLVES = 8  # at most in one of them
+MOST, MOST_IN_SPACE = (
+    40,
+    200,
+)  # solves in all for a Newton step: MUMPS factorises in the time of 20 to 37 (docs/newton.md)
 ENDS = 0.01  # of the tolerance: once begun they go on to it, as they converge linearly and Newton's last step does not
 AFFORDED = 5.0  # of them that may be to come in the plane: Newton's next iteration costs four (bars) to six (disc)
 ASTRAY = 4.0  # times the least residual so far: semi-smooth steps with more in space go on from there by Tresca's law,
@@ -120,7 +124,7 @@ class ContactIteration:
         self._goal.scale(1.0 - share)
         self._decisions, self._before = [pair.decisions() for pair in p.pairs], p.contact_pattern()
         p.bulk_forces.copy(self._forces)
-        self._left = self._linear.affordable_solves()
+        self._left = MOST_IN_SPACE if self._is_solid else MOST
         self._total.set(0.0)
         self._evaluate()
         if p.gives_way().any():

@@ -29,17 +29,13 @@ __all__ = ["LinearSolver"]
 
 ITERATIVE_ABOVE = 40_000  # displacement unknowns of bodies in space: where FGMRES takes less time than MUMPS
 RTOL = 1e-4  # of FGMRES: Newton takes no more iterations than with factors (docs/scaling.md)
-MOST = (
-    200  # iterations of FGMRES before it counts as failed, good states take up to 30; solves of a Newton step's contact
-)
+MOST = 200  # iterations of FGMRES before it counts as failed, good states take up to 30
 RESTART = 60
 PATCHED_ABOVE = 3_000  # displacement unknowns: on smaller meshes contact's patch is nearly the whole matrix
 WORKSPACE, TOO_LITTLE_WORKSPACE = 100, (-8, -9)  # % that MUMPS gets beside its estimate; its codes for "not enough"
 TOO_LARGE = (-13, -19)  # MUMPS' codes where memory does not suffice
 SHARE = 0.8  # of the memory that is free, which factors may take
 EXTERNAL = 76  # PETSc's error code when MUMPS gives up on a singular matrix
-COSTS = 3.0  # factorisations that all the solves of a Newton step may cost
-SLOWER = 10.0  # times that an operation of a solve takes as long as one of a factorisation: it waits for the memory
 
 log = logging.getLogger(__name__)
 _Reason = PETSc.KSP.ConvergedReason
@@ -273,17 +269,6 @@ class LinearSolver:
     def is_solid(self) -> bool:
         """Whether there is a body in space, whose factors cost many solves."""
         return max(body.mesh.topology.dim for body in self.problem.bodies.bodies) == 3
-
-    def affordable_solves(self) -> int:
-        """How many times :meth:`apply` costs as much as COSTS factorisations, the same on any number of ranks."""
-        pc = (self._factorised() if self.iterative and self._failure is not None else self._ksp).getPC()
-        if pc.getType() != "lu" or pc.getFactorSolverType() != "mumps":
-            return MOST
-        N, solid = self.problem.bodies.layout.sizes[1], self.is_solid
-        # floating-point operations of the factors over twice their entries, as MUMPS counts them on one rank: fits to 10 % in
-        # the plane (88 to 42,000 unknowns), to 30 % in space (162 to 2250), where nested dissection has these powers
-        ratio = 0.6 * N ** (2 / 3) if solid else 10 + 0.27 * N**0.5
-        return int(COSTS / SLOWER * ratio)
 
     # ---------------------------------------------------------------- what it says
 
