@@ -38,10 +38,9 @@ ENOUGH = 0.01  # of the residual that Newton's step started from: the bulk's non
 CHORD = 0.2  # of the residual: steps with an old derivative go on while each leaves less,
 HALF = 0.5  # in space, where a Newton iteration costs several of them
 SOLVES = 8  # at most in one of them
-MOST, MOST_IN_SPACE = (
-    40,
-    200,
-)  # solves in all for a Newton step: MUMPS factorises in the time of 20 to 37 (docs/newton.md)
+# solves in all for a Newton step: MUMPS factorises in the time of 20 to 37 (docs/newton.md); in the plane at least, and on
+# fine meshes, where the edges of contact have more facets to go, times the root of the number of unknowns; in space
+MOST, FINER, MOST_IN_SPACE = 40, 0.8, 200
 ENDS = 0.01  # of the tolerance: once begun they go on to it, as they converge linearly and Newton's last step does not
 AFFORDED = 5.0  # of them that may be to come in the plane: Newton's next iteration costs four (bars) to six (disc)
 ASTRAY = 4.0  # times the least residual so far: semi-smooth steps with more in space go on from there by Tresca's law,
@@ -86,6 +85,8 @@ class ContactIteration:
         self.problem, self._linear, self._size, self._longest = problem, linear, size, longest
         # in the plane thin belts would fly off, and membranes take more iterations, by what settles contact in space
         self._is_solid = linear.is_solid
+        in_plane = max(MOST, int(FINER * problem.bodies.layout.sizes[1] ** 0.5))
+        self._most = MOST_IN_SPACE if self._is_solid else in_plane
         self.steps = self.solves = 0
         self._z, self._step, self._total, self._way = (problem.x.duplicate() for _ in range(4))
         self._best, self._safe = (_Kept(problem.x.duplicate()) for _ in range(2))
@@ -124,7 +125,7 @@ class ContactIteration:
         self._goal.scale(1.0 - share)
         self._decisions, self._before = [pair.decisions() for pair in p.pairs], p.contact_pattern()
         p.bulk_forces.copy(self._forces)
-        self._left = MOST_IN_SPACE if self._is_solid else MOST
+        self._left = self._most
         self._total.set(0.0)
         self._evaluate()
         if p.gives_way().any():
