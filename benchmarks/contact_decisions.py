@@ -3,7 +3,7 @@
     ./run python3 benchmarks/contact_decisions.py [--rules PATTERN]
 
 The rules are described in docs/newton.md; their constants are those of `active_set.py`, `newton.py`, `predictor.py`,
-`quasistatic.py` and `contact_pair.py`. Beams are section 4.1 in 20 steps to 20 N, ironing that of `ironing.py`, membranes
+`quasistatic.py` and `augmentation.py`. Beams are section 4.1 in 20 steps to 20 N, ironing that of `ironing.py`, membranes
 section 4.2 with 160 cells in 20 steps to 4023 Pa (μ = 0) and 4400 Pa (μ = 0.5). Iterations, with rejected steps in brackets.
 """
 
@@ -22,7 +22,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "benchmarks")]
 import ironing
 from scenes import beams, membranes
 
-from dolfinx_mortar_al import active_set, contact_pair, newton, predictor, quasistatic
+from dolfinx_mortar_al import active_set, augmentation, newton, predictor, quasistatic
 
 RULES: dict[str, list[tuple[ModuleType, str, float]]] = {
     "as shipped": [],
@@ -32,8 +32,8 @@ RULES: dict[str, list[tuple[ModuleType, str, float]]] = {
     "all three off: plain semi-smooth Newton": [(active_set, "TRUST", 0.0), (active_set, "WEAK", 0.0)],
     "linear predictor": [(predictor, "MAX_ORDER", 1)],
     "predictor of the order that was best, by however little": [(predictor, "BETTER", 1.0)],
-    "ε 3 times larger": [(contact_pair, "SOFTER", 3 * contact_pair.SOFTER)],
-    "ε 3 times smaller": [(contact_pair, "SOFTER", contact_pair.SOFTER / 3)],
+    "ε 3 times larger": [(augmentation, "SOFTER", 3 * augmentation.SOFTER)],
+    "ε 3 times smaller": [(augmentation, "SOFTER", augmentation.SOFTER / 3)],
     "slides of an iteration limited to 1 facet": [(newton, "LONGEST", 1.0)],
     "slides of an iteration not limited": [(newton, "LONGEST", 1e9)],
     "a failed increment always halved": [(quasistatic, "CUT_WITHOUT_PROGRESS", 0.5)],

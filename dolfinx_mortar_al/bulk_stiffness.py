@@ -61,7 +61,7 @@ class BulkStiffness:
         yielding = self._bodies.yielding(diagonals)
         for pair in self._pairs:
             now = np.array(measured := pair.measured_stiffnesses(yielding))
-            if np.all(now > 0) and np.any(_far(now, np.array(pair.stiffnesses))):
+            if np.all(now > 0) and np.any(_far(now, np.array(pair.augmentation.stiffnesses))):
                 pair.take_stiffnesses(measured)
 
     def _magnitudes(self) -> Array:
@@ -72,7 +72,7 @@ class BulkStiffness:
 
     def snapshot(self) -> dict[str, Array]:
         """What has been measured, and with what; arrays that are replaced, not changed."""
-        stiffnesses = np.array([pair.stiffnesses for pair in self._pairs])
+        stiffnesses = np.array([pair.augmentation.stiffnesses for pair in self._pairs])
         return {"given": self._given, "firmness": self.firmness, "stiffnesses": stiffnesses}
 
     def restore(self, saved: dict[str, Array]) -> None:
@@ -80,7 +80,7 @@ class BulkStiffness:
         self._given, self.firmness = saved["given"], saved["firmness"]
         for k, pair in enumerate(self._pairs):
             stiffnesses = float(saved["stiffnesses"][k, 0]), float(saved["stiffnesses"][k, 1])
-            if pair.stiffnesses != stiffnesses:
+            if pair.augmentation.stiffnesses != stiffnesses:
                 pair.take_stiffnesses(stiffnesses)
 
 

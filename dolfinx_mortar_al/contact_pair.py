@@ -17,23 +17,24 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.active_set import ActiveSet, Decided
+from dolfinx_mortar_al.augmentation import PairAugmentation
 from dolfinx_mortar_al.blocks import Blocks, Tangent
 from dolfinx_mortar_al.bodies import Bodies
-from dolfinx_mortar_al.closest_point import ClosestPoint
-from dolfinx_mortar_al.compression import Compression
 from dolfinx_mortar_al.contact import Contact, coefficient
 from dolfinx_mortar_al.corners import SharpCorners
 from dolfinx_mortar_al.cut_tangent import CutTangent, tangent_of_cuts
 from dolfinx_mortar_al.integration import IntegrationPoints, default_degree, degrees_on, segment_degree
 from dolfinx_mortar_al.kinematics import Kinematics, PositionLevel, contactor_points
-from dolfinx_mortar_al.law import OPEN, SLIP, Augmentation, Coulomb, Frictionless, LawState, augmented_normal
+from dolfinx_mortar_al.law import OPEN, SLIP, Coulomb, Frictionless, LawState, augmented_normal
 from dolfinx_mortar_al.monitors import Finding, warn
 from dolfinx_mortar_al.multiplier import MultiplierSpace, default_order
 from dolfinx_mortar_al.obstacles import Pose
+from dolfinx_mortar_al.pair_checks import check_apart, check_behind, check_sides, check_single, depth_behind
 from dolfinx_mortar_al.pair_findings import PairFindings
-from dolfinx_mortar_al.pieces import seen_by_any
 from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.reductions import any_over, max_over, min_over, sum_over
+from dolfinx_mortar_al.redundant import RedundantNodes
+from dolfinx_mortar_al.ripples import FLAT, CompressedSheets, firmness_under_pressure
 from dolfinx_mortar_al.segments import UNCOVERED, Segments, ends_of, segments_of
 from dolfinx_mortar_al.self_target import SelfTarget
 from dolfinx_mortar_al.smoothing import lacking_compliance
@@ -53,20 +54,9 @@ Index = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 Decisions = tuple[IntegrationPoints, Decided]
 
-SOFTER = 0.125  # ε over what the bulk yields to pressure at the surface (docs/newton.md)
 AGAIN = 2  # times that points follow the target's end, or nodes are chosen anew, when a state has converged
-SMALL = 1e-6  # share of its shape functions: a point to which free nodes contribute less is prescribed
-FIRMER = 1.0  # the same in time steps, where inertia is part of that stiffness (docs/impact.md)
-FLAT = 50.0  # of a membrane's stiffness: what a compression by half asks for (docs/membranes.md); wild iterates ask for more
-RIPPLING = 2 * np.pi  # slope of a wave as long as a facet, over its amplitude in facets
-OWN = 0.5  # of the bulk's stiffness holds such waves, whatever contact does (docs/newton.md)
-FIRMEST = 12.0  # the same for ε_N in time steps: by p/ε_N, less than 1 % of a facet, do partly closed facets overlap
 ROUGHEST = 5.0  # a friction coefficient beyond that of rubber: on a plane that rises by 79° nothing would slide
 NEAR = 2.0  # of the target's facets: gaps that may close in a step
-FAR = 100.0  # times more or less than by default: where Newton has been seen to fail for ε
-DEPENDS = (
-    "the answer depends on it where facets are partly closed, by more than a mesh twice as fine does; leave it out"
-)
 
 
 class ContactPair(PairFindings):
@@ -97,8 +87,8 @@ class ContactPair(PairFindings):
         self.integration = self.gauss
         self.area = sum_over(self.comm, float(self.j.sum()))
         self._facet_count = sum_over(self.comm, self.facets.size)
-        self._check_single(contactor)
-        self._check_apart(contactor)
+        check_single(name, contact, contactor, self.target)
+        check_apart(name, contact, contactor, self.target, self._body1)
         reach = max(bodies.reach(), self.target.reach)
         statics = PositionLevel(self.integration, self._body1.u, self.target, friction, reach)
         self.kinematics: Kinematics = statics
@@ -110,13 +100,11 @@ class ContactPair(PairFindings):
         own = self.facets.space.dofmap.index_map.local_to_global(self.facets.dofs.ravel())
         self._at_end = np.isin(own, contactor.blocks[contactor.end_nodes]).reshape(self.facets.dofs.shape)
         # (nf, nodes, gdim) which components are prescribed
-        self._fixed: Bool = self._at_nodes(self._body1.prescribed()) > 0
-        self._may_be_redundant = any_over(self.comm, self._fixed.any()) and bool(self.target.fixed.any())
+        fixed = self._at_nodes(self._body1.prescribed()) > 0
+        self._redundant = RedundantNodes(self.facets, self.target, fixed, friction)
         # (nf, nodes) the contactor's nodes in which the multiplier has no part, as another pair's is there, too
         self._out_as_shared: Bool = np.zeros(self.facets.dofs.shape, dtype=bool)
-        redundant = self._redundant(self.facets.X)
-        # (nf, nodes, gdim) and (nodes, gdim) nodes of both sides with which redundant ones were looked for last (m)
-        self._looked_at: tuple[Array, Array] = np.zeros(0), np.zeros(0)
+        redundant = self._redundant.at(self.facets.X)
         #: (nf,) facets whose motion relative to the target is prescribed altogether
         self._prescribed_facets = np.asarray(redundant.all(axis=(1, 2)))
         surface = contact.target if isinstance(contact.target, Surface) else None
@@ -126,12 +114,9 @@ class ContactPair(PairFindings):
         corners = None
         if not self.target.is_contactor:  # at a crease the roles decide, and with equal orders both sides count
             corners = SharpCorners.of(self.facets, contactor, self.multiplier.own, self.comm)
-        self.blocks = Blocks(
-            self.integration, self.contactor_blocks, self._fixed, self.target, self.multiplier, corners
-        )
+        self.blocks = Blocks(self.integration, self.contactor_blocks, fixed, self.target, self.multiplier, corners)
         self.active = ActiveSet(self.blocks, self.comm)
-        self.is_pressed_hard = False
-        self._firmness = 0.0  # what the compression of membranes adds to ε (Pa/m)
+        self._firmness = 0.0  # what is added to ε lest surfaces ripple (Pa/m)
         self.target_end = self._make_end()
         #: whether points stay where they are, whatever moves
         self.holds_points = False
@@ -219,73 +204,15 @@ class ContactPair(PairFindings):
             return None
         return TargetEnd(target, self.integration.size)
 
-    def _check_single(self, contactor: GatheredFacets) -> None:
-        """No facet lies on another one of its surface: what two of them carry counts twice.
-
-        Raises:
-            ValueError: on every rank.
-        """
-        target = self.target
-        sides = [("contactor", f"tag {self.contact.contactor.tag}", contactor)]
-        if isinstance(target, DeformableTarget) and not target.is_contactor:
-            sides.append(("target", self.contact.target_name, target.surface))
-        for name, tag, side in sides:
-            if len(twice := side.doubled()):
-                X = ", ".join(f"{x:.4g}" for x in side.X[side.facets[twice[0]]].mean(axis=0))
-                raise ValueError(
-                    f"{self.name}: facets of the {name} ({tag}) lie on others of it and face the same way, {len(twice)} in "
-                    f"all, the first at X = ({X}): is a body drawn or imported twice? Leave one out"
-                )
-
-    def _check_apart(self, contactor: GatheredFacets) -> None:
-        """Contactor and target share no node: the gap would vanish there whatever happens.
-
-        Raises:
-            ValueError: on every rank.
-        """
-        target = self.target
-        if target.is_contactor or not (isinstance(target, DeformableTarget) and target.is_of(self._body1.u)):
-            return
-        shared = np.isin(contactor.blocks, target.surface.blocks)
-        if shared.any():
-            X = ", ".join(f"{x:.4g}" for x in contactor.X[shared][0])
-            raise ValueError(
-                f"{self.name}: contactor (tag {self.contact.contactor.tag}) and target ({self.contact.target_name}) share "
-                f"the node at X = ({X}): the bodies are joined there; give each its own nodes, or leave its facets out"
-            )
-
-    def _redundant(self, contactor: Array, place: Array | None = None) -> Bool:
-        """(nf, nodes, components) where the relative displacement is prescribed, so that the multiplier has nothing to
-        enforce: on the contactor and, if the target is deformable, where that is opposite and near, or wherever it lies in a
-        plane of symmetry. `contactor` (nf, nodes, gdim) and `place` (nodes, gdim): nodes of both (m), the target's by
-        default undeformed."""
-        fixed = self._fixed.copy()
-        facet, node = np.nonzero(fixed.any(axis=2))
-        if isinstance(self.target, DeformableTarget) and len(facet):
-            points = IntegrationPoints(self.facets, facet, self.facets.shape.nodes[node], np.ones(len(facet)), 1.0)
-            nodes, here = self.target.surface.X if place is None else place, contactor_points(points, contactor)
-            at, near = self.target.opposite(here, nodes)
-            free = ~self.target.fixed[self.target.facets[at.facet]]
-            given = np.einsum("nk,nki->ni", np.abs(self.target.weights(at)), free) < SMALL
-            planes = self.target.holds_plane(self.facets.X[facet, node])
-            if self.target.is_contactor:  # whose own clamped face may be plane
-                planes &= ~np.asarray(fixed[facet, node].all(axis=1))[:, None]
-            fixed[facet, node] &= (near[:, None] & given) | planes
-        return fixed if self.friction else np.asarray(fixed.all(axis=2, keepdims=True))
-
     def _leave_out_redundant(self, contactor: Array, place: Place) -> bool:
         """In statics, let go of the multiplier's nodes that have nothing to enforce with the bodies' nodes at `contactor` and
         `place`, and take those up that have; whether that is a change (collective). Time steps need one space of
         multipliers."""
-        if not self._may_be_redundant or isinstance(self.kinematics, StepLevel) or not isinstance(place, np.ndarray):
+        if isinstance(self.kinematics, StepLevel) or not isinstance(place, np.ndarray):
             return False
-        nodes = contactor, place
-        # roles count, too, of what is in contact with itself
-        again = not self.target.is_contactor and all(map(np.array_equal, self._looked_at, nodes))
-        if not any_over(self.comm, not again):
+        if not self._redundant.are_elsewhere(contactor, place):
             return False
-        self._looked_at = contactor.copy(), place.copy()
-        return self._leave_out(self._redundant(contactor, place))
+        return self._leave_out(self._redundant.at(contactor, place))
 
     def near(self, share: float) -> Bool:
         """(nf, nodes) which of the contactor's nodes lie within a share of their facet's length from the target, in the last
@@ -296,14 +223,14 @@ class ContactPair(PairFindings):
 
     def held(self) -> Bool:
         """(nf, nodes) nodes at which supports leave the multiplier nothing to enforce, in the last equilibrium."""
-        return np.asarray(self._redundant(*self._last_places()).all(axis=2))
+        return np.asarray(self._redundant.at(*self._last_places()).all(axis=2))
 
     def leave_out_shared(self, nodes: Bool) -> None:
         """Let the multiplier have no part in these of its nodes (nf, nodes), and in all others that it shares with another
         pair's (collective)."""
         if any_over(self.comm, not np.array_equal(nodes, self._out_as_shared)):
             self._out_as_shared = nodes
-            self._leave_out(self._redundant(*self._last_places()))
+            self._leave_out(self._redundant.at(*self._last_places()))
 
     def _last_places(self) -> tuple[Array, Array | None]:
         """Where redundant nodes are looked for: (nf, nodes, gdim) and (nodes, gdim) nodes of both sides in the last
@@ -347,20 +274,15 @@ class ContactPair(PairFindings):
                 raise ValueError(
                     f"{self.name}: the {side} meets a stiffness of {stiffness:.3g} Pa/m in the start state: F {why}"
                 )
-        self.take_stiffnesses(measured)
-        #: by which multipliers are counted, and their equations (Pa/m); the same as ε at the start
-        self.unit = self.suggested
-        #: the softer side's at the start (Pa/m)
-        self.stiffness_at_start = self.stiffness
+        self.augmentation = PairAugmentation(self.contact, measured)
+        self._use_law()
+        self._hold_smooth()
 
     def take_stiffnesses(self, stiffnesses: tuple[float, float]) -> None:
-        """Fix ε by what the bulk has at the contactor and at the target (Pa/m), and what holds multipliers smooth
-        (collective)."""
-        self.stiffnesses = contactor, target = stiffnesses
-        c = self.contact
-        sides = [c.contactor, c.target] if isinstance(c.target, Surface) else [c.contactor]
-        self.stiffness_ratio = 0.0 if any(side.is_membrane for side in sides) else contactor / target
-        self.set_law(min(contactor, target), SOFTER, SOFTER)
+        """The bulk has other stiffnesses now at the contactor and at the target (Pa/m): ε, and what holds multipliers smooth,
+        follow (collective)."""
+        self.augmentation.take(stiffnesses)
+        self._use_law()
         self._hold_smooth()
 
     @property
@@ -382,86 +304,58 @@ class ContactPair(PairFindings):
         target = self.target.stiffness(diagonals, self.thickness)
         return contactor, target
 
-    def set_law(self, stiffness: float, tangential: float, normal: float) -> None:
-        """Fix ε_T and ε_N: the user's, or shares `tangential` and `normal` of the bulk's `stiffness` at the two surfaces
-        (Pa/m)."""
-        #: the softer side's, and what ε it suggests (Pa/m)
-        self.stiffness, self.suggested = stiffness, tangential * stiffness
-        self._use_epsilon(normal * stiffness, self.suggested)
-
-    def _use_epsilon(self, normal: float, tangential: float, more: float = 0.0) -> None:
-        """Fix the law by these ε_N and ε_T (Pa/m), or the user's, and by what the pressure adds to either."""
-        c = self.contact
-        εN = (normal if c.epsilon_normal is None else c.epsilon_normal) + more
-        εT = (tangential if c.epsilon_tangential is None else c.epsilon_tangential) + more
-        self.epsilon = Augmentation(εN, εT)
+    def _use_law(self) -> None:
+        """Eq. (1) with ε as it is."""
+        ε = self.epsilon
         # the residual of an open point, ν λ_N/ε_N − λ_T/ε_T, turns with ν unless ε_N = ε_T
-        self._same_ε = εN == εT or not self.friction
-        self.law: Frictionless | Coulomb = Frictionless(self.epsilon)
+        self._same_ε = self.augmentation.is_uniform or not self.friction
+        self.law: Frictionless | Coulomb = Frictionless(ε)
         if self.friction:
-            self.law = Coulomb(self.epsilon, self.friction_coefficient, noise=εT * self.kinematics.round_off)
+            self.law = Coulomb(ε, self.friction_coefficient, noise=ε.tangential * self.kinematics.round_off)
 
     def _hold_flat(self) -> None:
-        """Let ε grow with the pressure p where that comes near a body's moduli: on the slope of a ripple as long as a facet,
-        which multipliers of a lower order than the displacement do not see, p acts along the surface, and only the body and ε
-        resist it (collective; docs/newton.md). Segments see it, obstacles have no ripples, and membranes none but under
-        compression."""
+        """In statics, add to ε what keeps surfaces from rippling within their facets (collective)."""
         if isinstance(self.kinematics, StepLevel):
             return
-        if self.stiffness_ratio == 0.0:
-            self._hold_sheets_flat(self._compression())
+        if self.augmentation.of_membranes:
+            self._add(self._firmness_of_sheets())
             return
         sees = self.multiplier_order == self.facets.shape.order or self.is_segmented
-        if sees:
+        if sees or self.target.is_rigid:
             return
         p = np.maximum(self._normal_multiplier(), 0.0)
-        slopes = [(self.j * p) @ (p / extents) for extents in self._extents()]
-        *slopes, force = sum_over(self.comm, np.array([*slopes, self.j @ p]))
-        excess = 0.0
-        if force > 0:
-            excess = max(slope / force - OWN * k for slope, k in zip(slopes, self.stiffnesses, strict=True))
-        self.is_pressed_hard = excess > 0.0
-        self._use_epsilon(self.suggested, self.suggested, RIPPLING * max(0.0, excess))
+        slopes = [p / extents for extents in self._extents()]
+        self._add(firmness_under_pressure(self.j * p, slopes, self.augmentation.stiffnesses, self.comm))
 
-    def _hold_sheets_flat(self, firmness: float) -> None:
-        """Let ε grow by a firmness (Pa/m), within bounds."""
-        self._firmness = min(firmness, FLAT * self.stiffness)
-        self._use_epsilon(self.suggested, self.suggested, self._firmness)
+    def _add(self, firmness: float) -> None:
+        """Add a firmness (Pa/m) to ε from now on."""
+        self._firmness = firmness
+        self.augmentation.add(firmness)
+        self._use_law()
 
-    def _compression(self) -> float:
-        """The firmness (Pa/m) that keeps membranes in contact from rippling within their facets (collective)."""
-        closed, worst = self.active.closed, 0.0
-        if not self._compressions:
-            return worst
-        if any_over(self.comm, closed.any()):
-            for k, compression in self._compressions.items():
-                facet = self._own[self.integration.facet] if k == 0 else self.at.point.facet
-                worst = max(worst, float(compression.firmness()[facet[closed]].max(initial=0.0)))
-        return max_over(self.comm, worst)
+    def _firmness_of_sheets(self) -> float:
+        """What keeps membranes from rippling (Pa/m), within bounds (collective)."""
+        closed = self.active.closed
+        own, faced = self._own[self.integration.facet[closed]], self.at.point.facet[closed]
+        return min(self._sheets.firmness(own, faced), FLAT * self.augmentation.stiffness)
 
     @cached_property
-    def _compressions(self) -> dict[int, Compression]:
-        """Of those of the contactor, 0, and the target, 1, that are membranes of order 2."""
-        found: dict[int, Compression] = {}
+    def _sheets(self) -> CompressedSheets:
         wholes = self._contactor, getattr(self.target, "surface", None)
-        for k, (surface, whole) in enumerate(zip((self.contact.contactor, self.contact.target), wholes, strict=True)):
-            if isinstance(surface, Surface) and surface.is_membrane and whole is not None and whole.shape.order > 1:
-                body = self._bodies.bodies[self._bodies.index(surface.mesh)]
-                if body.sheets:
-                    found[k] = Compression(surface, whole, body.u, body.sheets)
-        return found
+        return CompressedSheets(self.contact, wholes, self._bodies)
 
     def _hold_smooth(self) -> None:
         """Hold a multiplier smooth where the contactor is finer than the target, in statics: membranes yield otherwise, and
         surfaces in contact with themselves are alike (collective)."""
-        others = self.target.is_rigid or self.target.is_contactor or self.stiffness_ratio == 0.0
+        others = self.target.is_rigid or self.target.is_contactor or self.augmentation.of_membranes
         self.blocks.leave_rough()
         if others or self.target.fixed.all():
             return
         (faced, widths), zone = self._faced_at_start
         rigid = np.asarray(self.blocks.fixed.all(axis=(1, 2)))
         length = float(np.mean(self._contactor.extents()))
-        moduli = self.stiffnesses[0] * length, self.stiffnesses[1] * float(np.mean(self.target.extents))
+        contactor, target = self.augmentation.stiffnesses
+        moduli = contactor * length, target * float(np.mean(self.target.extents))
         own = self.facets.extents()
         sides = (own, self.facets.widths()), (faced, widths)
         κ = lacking_compliance(self.multiplier, self.target, *sides, moduli, rigid)
@@ -474,22 +368,11 @@ class ContactPair(PairFindings):
         sizes = self._faced(self.gauss, self.target.extents, self.target.widths)
         return sizes, ZoneWidth(self._contactor, self._own, self.target.spacing * sizes[1], self.comm)
 
-    def far_off(self) -> dict[str, float]:
-        """The augmentation parameters that are a user's and more than FAR times more or less than the bulk suggests, over
-        that."""
-        given = {name: getattr(self.contact, name) for name in ("epsilon_normal", "epsilon_tangential")}
-        ratios = {name: ε / self.suggested for name, ε in given.items() if ε is not None}
-        return {name: ratio for name, ratio in ratios.items() if not 1 / FAR < ratio < FAR}
-
     def far_augmentation(self) -> list[Finding]:
-        """A finding for each of :meth:`far_off` while anything is closed (collective)."""
-        far = self.far_off()
-        if not far or self.closed_fraction() == 0.0:
-            return []
-        return [
-            Finding(f"{self.name}: {name} over what the bulk suggests", k, (), DEPENDS, False)
-            for name, k in far.items()
-        ]
+        """A finding for each augmentation parameter that is a user's and far from the bulk's, while anything is closed
+        (collective)."""
+        findings = self.augmentation.findings(self.name)
+        return findings if findings and self.closed_fraction() > 0.0 else []
 
     @property
     def friction_coefficient(self) -> float:
@@ -525,9 +408,9 @@ class ContactPair(PairFindings):
         self.active.begin(self._converged.closed[self.integration.facet])
         self.evaluate()
         self._remember()
-        self._check_sides(closest)
+        check_sides(self.name, self.contact, k, self.target, closest)
         # whether a point lies before the target or faces none of it
-        self._is_in_front = min_over(self.comm, float(_depth(closest).min(initial=np.inf))) < -k.touch
+        self._is_in_front = min_over(self.comm, float(depth_behind(closest).min(initial=np.inf))) < -k.touch
 
     def _divide(self) -> None:
         """Of a surface in contact with itself, choose which parts are contactor. Multipliers of a lower order than the
@@ -540,48 +423,10 @@ class ContactPair(PairFindings):
                 carries = self.target.role[self.target.own] == 0
                 self.blocks.left_out = self.multiplier.touched(carries) & ~carries[:, None]
 
-    def _check_sides(self, closest: ClosestPoint) -> None:
-        """Contactor and target must face each other somewhere, if they are near each other at all: by the points `closest` to
-        the contactor's."""
-        if self.target.is_contactor:
-            return
-        k, comm = self.kinematics, self.comm
-        same_way = np.einsum("ni,ni->n", k.contactor().normal, closest.ν) > 0.5
-        facing = sum_over(comm, int(closest.facing.sum()))
-        if facing and sum_over(comm, int((closest.facing & same_way).sum())) == facing:
-            raise ValueError(
-                f"{self.name}: the target ({self.contact.target_name}) faces away from the contactor "
-                f"(tag {self.contact.contactor.tag}) everywhere: {self._other_side}"
-            )
-
-    @property
-    def _other_side(self) -> str:
-        """What to do where the target faces away from the contactor."""
-        if isinstance(self.target, RigidTarget):
-            return "if it is around the body pass inside=True, or turn its normal round"
-        return "pass the side of the body that faces it"
-
     def check_behind(self) -> None:
-        """Refuse a contactor whose body lies behind the target altogether (collective): it has gone through, or the target's
-        outward side is the other one. A membrane may lie up to a target facet behind, as an overlap to be resolved.
-
-        Raises:
-            ValueError: on every rank.
-        """
-        if self.target.is_contactor or self._is_in_front:
-            return
-        k, comm, membrane = self.kinematics, self.comm, self.contact.contactor.is_membrane
-        body, d = self._body1, self.gdim
-        mine = np.isin(body.piece, seen_by_any(comm, body.piece[self.facets.dofs]))
-        x = body.space.tabulate_dof_coordinates()[:, :d] + body.u.x.array.reshape(-1, d)
-        depth = _depth(self.target.closest(x[mine]))
-        least = min_over(comm, float(depth.min(initial=np.inf)))
-        deepest = max_over(comm, float(depth.max(initial=-np.inf)))
-        if least >= -k.touch and deepest > (self.target.size if membrane else k.touch):
-            raise ValueError(
-                f"{self.name}: the contactor (tag {self.contact.contactor.tag}) lies with its whole body behind the target "
-                f"({self.contact.target_name}): move it to the other side, or turn the target's normal round"
-            )
+        """Refuse a contactor that has gone through, as :func:`~dolfinx_mortar_al.pair_checks.check_behind` (collective)."""
+        if not (self.target.is_contactor or self._is_in_front):
+            check_behind(self.name, self.contact, self.facets, self.target, self._body1, self.kinematics.touch)
 
     # ---------------------------------------------------------------- state
 
@@ -667,11 +512,11 @@ class ContactPair(PairFindings):
         changed = self.kinematics.follow()
         if changed:
             self._read_multiplier()
-        statics = self.stiffness_ratio == 0.0 and not isinstance(self.kinematics, StepLevel)
-        firmness = self._compression() if statics else 0.0
-        firmer = self._firmness < min(firmness, FLAT * self.stiffness)
+        if not self.augmentation.of_membranes or isinstance(self.kinematics, StepLevel):
+            return changed
+        firmer = self._firmness < self._firmness_of_sheets()
         if firmer:  # at once as firm as can be: it grows on, and while it does ripples have begun
-            self._hold_sheets_flat(np.inf)
+            self._add(FLAT * self.augmentation.stiffness)
         return changed or firmer
 
     def follow_segments(self) -> bool:
@@ -737,7 +582,7 @@ class ContactPair(PairFindings):
 
     def decide(self, residual: PETSc.Vec) -> bool:
         """Let the active set change, once per Newton iteration; whether any point did, on any rank."""
-        changed = self.active.decide(self.state, self.kinematics, residual, self.unit, self.epsilon.normal)
+        changed = self.active.decide(self.state, self.kinematics, residual, self.augmentation.unit, self.epsilon.normal)
         return any_over(self.comm, changed)
 
     @property
@@ -835,8 +680,8 @@ class ContactPair(PairFindings):
             self.blocks.leave_rough()
             self.kinematics = StepLevel(self.kinematics)
             self.active.cautious = False
-            self.set_law(self.stiffness, FIRMER, FIRMEST)
-            self.unit = self.suggested
+            self.augmentation.take_steps()
+            self._use_law()
         return self.kinematics
 
     def _leave_ends(self) -> None:
@@ -1034,8 +879,3 @@ class ContactPair(PairFindings):
             at = self.kinematics.at
             act = np.union1d(act, np.flatnonzero(at.facing & (np.abs(at.g) <= NEAR * self.target.size)))
         return self.blocks.couples(self.kinematics, act)
-
-
-def _depth(closest: ClosestPoint) -> Array:
-    """(n,) how far positions lie behind the target's points `closest` to them (m), −∞ where they face none."""
-    return np.where(closest.facing, closest.g, -np.inf)

@@ -84,7 +84,7 @@ def _of_pair(pair: ContactPair) -> Fingerprint:
     given = f"{contact.epsilon_normal} and {contact.epsilon_tangential}"
     said = {
         "friction": repr(pair.friction_at_start),
-        "epsilon": f"{given}, {pair.stiffness_at_start:.9g} by default",
+        "epsilon": f"{given}, {pair.augmentation.at_start:.9g} by default",
         "multiplier": f"order {pair.multiplier.shape.order}, {pair.multiplier.components} components",
         "projection": contact.projection,
         "thickness": repr(contact.thickness),

@@ -564,9 +564,9 @@ class NewtonSolver:
                 "with dynamics.march"
             )
         elif far := [
-            f"{pair.name}: {name} = {ratio * pair.suggested:.3g} Pa/m where the bulk suggests {pair.suggested:.3g}"
-            for pair in p.pairs
-            for name, ratio in pair.far_off().items()
+            f"{pair.name}: {name} = {ratio * ε.suggested:.3g} Pa/m where the bulk suggests {ε.suggested:.3g}"
+            for pair, ε in ((pair, pair.augmentation) for pair in p.pairs)
+            for name, ratio in ε.far_off().items()
         ]:
             parts.append(f"{', '.join(far)}: leave it out")
         elif self._nearest_is_unstable() and p.motions:

@@ -103,13 +103,10 @@ APART = (
 class PairFindings(PairResults):
     """Findings of a contact pair; None where there is nothing to say (all collective)."""
 
-    #: of the contactor's stiffness per area to the target's; 0 where one of them is a membrane
-    stiffness_ratio: float
-    #: whether the pressure comes near a body's moduli, so that surfaces would ripple but for ε
-    is_pressed_hard: bool
     #: out of the plane (m)
     thickness: float
     _prescribed_facets: NDArray[np.bool_]
+    _firmness: float  # what is added to ε lest surfaces ripple (Pa/m)
     _prescribed_nodes: PrescribedNodes
     blocks: Blocks
     #: the whole contactor, and (nf,) which of its facets this rank has
@@ -134,7 +131,7 @@ class PairFindings(PairResults):
         """Whether the multiplier of a contactor that is stiffer than the target has nodes closer together than those of the
         target's facets that it faces, in the mean over what is closed, and is not held smooth for the most part, so that
         pressures alternate (collective)."""
-        if self.target.is_rigid or self.target.is_contactor or self.stiffness_ratio <= STIFFER:
+        if self.target.is_rigid or self.target.is_contactor or self.augmentation.ratio <= STIFFER:
             return None
         closed = np.flatnonzero(self.state.status != OPEN)
         j, (own, theirs) = self.j[closed], (extents[closed] for extents in self._extents())
@@ -159,11 +156,12 @@ class PairFindings(PairResults):
     def doubts_roles(self) -> str | None:
         """What a failed solve says of a contactor that is much stiffer than its target, whose edges and corners then come to
         bear on less than one of its facets."""
-        if self.target.is_rigid or self.target.is_contactor or self.stiffness_ratio <= MUCH_STIFFER:
+        if self.target.is_rigid or self.target.is_contactor or self.augmentation.ratio <= MUCH_STIFFER:
             return None
         return (
-            f"{self.name}: its contactor is {self.stiffness_ratio:.2g} times as stiff as its target, whose edges and corners "
-            "the contactor's facets may not resolve; swap contactor and target, so that the softer one is the contactor"
+            f"{self.name}: its contactor is {self.augmentation.ratio:.2g} times as stiff as its target, whose edges and "
+            "corners the contactor's facets may not resolve; swap contactor and target, so that the softer one is the "
+            "contactor"
         )
 
     def never_met(self) -> Finding:
@@ -217,7 +215,7 @@ class PairFindings(PairResults):
         borne, total = sum_over(self.comm, np.array([by_overlap, j @ self.state.p[closed]]))
         if value < OVERLAPS or borne < BY_OVERLAP * total:
             return None
-        sees = self.multiplier.shape.order == self.integration.facets.shape.order or self.stiffness_ratio > 1.0
+        sees = self.multiplier.shape.order == self.integration.facets.shape.order or self.augmentation.ratio > 1.0
         says = DEEP + ("" if sees else BY_ORDER) + (SWAP if may_swap else "")
         return Finding(f"{self.name}: overlap in contact (facets)", value, X, says, False)
 
@@ -306,7 +304,7 @@ class PairFindings(PairResults):
     def narrow_zone(self) -> Finding | None:
         """How many facets wide the narrowest connected zone of contact is that bears a good part of the force, if less than
         NARROWER, but for such as corners and ends of either surface are in (collective)."""
-        if self.target.is_contactor or (self.stiffness_ratio == 0.0 and not self.target.is_rigid):
+        if self.target.is_contactor or (self.augmentation.ratio == 0.0 and not self.target.is_rigid):
             return None
         closed, touched = np.flatnonzero(self.state.status != OPEN), self._touched()
         own, zone, j = self._own[self.integration.facet[closed]], self._contactor.zones(touched), self.j[closed]
@@ -330,7 +328,7 @@ class PairFindings(PairResults):
         """Under pressures near the bodies' moduli, what ε bears in the mean on facets that are closed altogether, if they are
         many, as a share of the pressure, beside what gaps between straight facets of curved surfaces make of it
         (collective)."""
-        if not self.is_pressed_hard:
+        if self.augmentation.of_membranes or self._firmness == 0.0:
             return None
         facet, closed = self.integration.facet, self.state.status != OPEN
         whole = np.ones(self.integration.facets.size, dtype=bool)

@@ -227,8 +227,8 @@ class ContactProblem(ProblemFindings):
             worst = np.maximum(worst, self.bodies.resultants(f[0].array_r) / seen)
         ratios = [float(np.max(worst))]
         for pair, force, floor, part in zip(self.pairs, forces, self.gap_floor, f[1:], strict=True):
-            gap = max(rtol * max(force, reference) / pair.stiffness, floor)
-            ratios.append(part.norm() / (pair.unit * gap))
+            gap = max(rtol * max(force, reference) / pair.augmentation.stiffness, floor)
+            ratios.append(part.norm() / (pair.augmentation.unit * gap))
         return ratios
 
     def force_over_firmness(self) -> float:
@@ -331,7 +331,7 @@ class ContactProblem(ProblemFindings):
         self.bodies.set(parts[0].array_r)
         for pair, part in zip(self.pairs, parts[1:], strict=True):
             field = pair.multiplier.field
-            field.x.array[: part.getLocalSize()] = pair.unit * part.array_r
+            field.x.array[: part.getLocalSize()] = pair.augmentation.unit * part.array_r
             field.x.scatter_forward()
 
     def pack(self, x: PETSc.Vec) -> None:
@@ -339,7 +339,7 @@ class ContactProblem(ProblemFindings):
         parts = x.getNestSubVecs()
         parts[0].array[:] = self.bodies.get()
         for pair, part in zip(self.pairs, parts[1:], strict=True):
-            part.array[:] = pair.multiplier.field.x.array[: part.getLocalSize()] / pair.unit
+            part.array[:] = pair.multiplier.field.x.array[: part.getLocalSize()] / pair.augmentation.unit
         x.assemble()
 
     def assemble_residual(self, x: PETSc.Vec, f: PETSc.Vec, *, contact: bool = False, bulk: bool = False) -> None:
@@ -377,7 +377,7 @@ class ContactProblem(ProblemFindings):
         with self.stopwatch("contact"):
             for pair, part in zip(self.pairs, f.getNestSubVecs()[1:], strict=True):
                 part.set(0.0)  # and stays so at redundant nodes, whose row is diagonal
-                insert_vector(part, *pair.multiplier_residual(), pair.unit)
+                insert_vector(part, *pair.multiplier_residual(), pair.augmentation.unit)
                 part.assemble()
             f.assemble()
 
@@ -486,7 +486,7 @@ class ContactProblem(ProblemFindings):
             for block in mine:
                 block.zeroEntries()
             for k, pair in enumerate(self.pairs, start=1):
-                element, unit = pair.tangent(), pair.unit
+                element, unit = pair.tangent(), pair.augmentation.unit
                 insert(self.contact_share, *element.UU)
                 insert(self.blocks[0][k], *element.UΛ, unit)
                 insert(self.blocks[k][0], *element.ΛU, unit)

@@ -8,6 +8,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from dolfinx_mortar_al.augmentation import PairAugmentation
 from dolfinx_mortar_al.contact_fields import ContactFields, gathered
 from dolfinx_mortar_al.integration import IntegrationPoints
 from dolfinx_mortar_al.kinematics import Kinematics
@@ -43,9 +44,14 @@ class PairResults:
     is_segmented: bool
     state: LawState
     _Λ: Array
-    epsilon: Augmentation
+    augmentation: PairAugmentation
     area: float
     _at_end: NDArray[np.bool_]
+
+    @property
+    def epsilon(self) -> Augmentation:
+        """ε_N and ε_T as they are."""
+        return self.augmentation.parameters
 
     @property
     def j(self) -> Array:

@@ -158,7 +158,7 @@ def test_problem_takes_conditions_and_thickness_from_the_body():
     assert problem.u is u and len(problem.bodies.bodies[0].bcs) == 1
     assert problem.pairs[0].contact.thickness == THICKNESS
     assert problem.pairs[0].area == pytest.approx(THICKNESS, rel=1e-12)
-    assert problem.pairs[0].stiffness == pytest.approx(other.pairs[0].stiffness, rel=1e-12)
+    assert problem.pairs[0].augmentation.stiffness == pytest.approx(other.pairs[0].augmentation.stiffness, rel=1e-12)
     assert ContactProblem(body.residual, u, contacts=[Contact(contactor, FLOOR)]).pairs[0].contact.thickness == 1.0
 
 

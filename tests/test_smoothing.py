@@ -117,5 +117,5 @@ def test_a_failed_solve_doubts_a_much_stiffer_contactor(young, is_doubted):
     solver = NewtonSolver(problem, max_iterations=1)
     with pytest.raises(quasistatic.StepFailure) as failed:
         list(quasistatic.march(problem, load, to=DEEP, increments=1, smallest=1.0, solver=solver))
-    ratio = f"contact: its contactor is {problem.pairs[0].stiffness_ratio:.2g} times as stiff as its target"
+    ratio = f"contact: its contactor is {problem.pairs[0].augmentation.ratio:.2g} times as stiff as its target"
     assert (ratio in str(failed.value)) == ("swap contactor and target" in str(failed.value)) == is_doubted
