@@ -448,14 +448,16 @@ class ContactPair(PairFindings):
 
     def follow_again(self) -> bool:
         """A state has converged: AGAIN times in a solve, let points that rest though the target's end has moved follow it
-        once more, and choose the multiplier's nodes anew; whether anything is another now (collective). Where cuts alone have
-        moved, as those of segments, it does not matter, nor does it help where they move on farther each time."""
+        once more, choose the multiplier's nodes anew, and ease what holds membranes flat; whether anything is another now
+        (collective). Where cuts alone have moved, as those of segments, it does not matter, nor does it help where they move
+        on farther each time."""
         segments = self.segments
         if self._again == 0:
             return False
+        eased = self._ease()
         chosen = self._leave_out_redundant(self.kinematics.nodes(), self.target.place)
         follows = segments is not None and bool(segments.settles) and segments.lags and not segments.diverges
-        if not (chosen or follows):
+        if not (eased or chosen or follows):
             return False
         self._again -= 1
         if follows:
@@ -514,10 +516,22 @@ class ContactPair(PairFindings):
             self._read_multiplier()
         if not self.augmentation.of_membranes or isinstance(self.kinematics, StepLevel):
             return changed
-        firmer = self._firmness < self._firmness_of_sheets()
+        suggested = self.augmentation.suggested  # holds a compression up to that by itself
+        firmer = suggested + self._firmness < self._firmness_of_sheets()
         if firmer:  # at once as firm as can be: it grows on, and while it does ripples have begun
             self._add(FLAT * self.augmentation.stiffness)
         return changed or firmer
+
+    def _ease(self) -> bool:
+        """Hold membranes no firmer that need not be held, as wild iterates asked for it: pressures waver within their facets;
+        whether that is a change (collective)."""
+        suggested = self.augmentation.suggested
+        if not self.augmentation.of_membranes or self._firmness <= suggested:
+            return False
+        if (asked := self._firmness_of_sheets()) > suggested:
+            return False
+        self._add(asked)
+        return True
 
     def follow_segments(self) -> bool:
         """Let the segments follow the bodies, as far as points may move: all that is kept at points moves along. Whether they
@@ -681,6 +695,7 @@ class ContactPair(PairFindings):
             self.kinematics = StepLevel(self.kinematics)
             self.active.cautious = False
             self.augmentation.take_steps()
+            self._firmness = 0.0
             self._use_law()
         return self.kinematics
 
