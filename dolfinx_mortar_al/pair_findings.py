@@ -15,6 +15,7 @@ from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import dot
 from dolfinx_mortar_al.rays import OPPOSED
 from dolfinx_mortar_al.reductions import max_over, sum_over
+from dolfinx_mortar_al.redundant import SMALL
 from dolfinx_mortar_al.results import PairResults
 from dolfinx_mortar_al.smoothing import ALIKE
 from dolfinx_mortar_al.surface import GatheredFacets, surface_normal
@@ -185,7 +186,12 @@ class PairFindings(PairResults):
 
     def prescribed_overlap(self) -> Finding | None:
         """Where both surfaces are prescribed and overlap, so that no contact force can part them (collective)."""
-        g = np.where(self._prescribed_facets[self.integration.facet] & self.at.facing, self.at.g, -np.inf)
+        prescribed = self._prescribed_facets[self.integration.facet] & self.at.facing
+        if isinstance(self.target, DeformableTarget):  # within facets it may be free all the same
+            free = ~self.target.fixed[self.target.facets[self.at.point.facet]]
+            moves = np.einsum("nk,nki->ni", np.abs(self.kinematics.weights), free)
+            prescribed &= (moves < SMALL).all(axis=1)
+        g = np.where(prescribed, self.at.g, -np.inf)
         k = int(np.argmax(g)) if len(g) else -1
         mine = (float(g[k]), tuple(self.points()[k].tolist())) if len(g) else (-np.inf, ())
         value, X = max(self.comm.allgather(mine))

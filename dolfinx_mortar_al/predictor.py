@@ -30,6 +30,7 @@ class Predictor:
         self._states: list[Snapshot] = []
         self._guesses = 1  # among the states: the start's contact
         self._touching: list[bool] = []  # of each pair, in the last state
+        self._pressing: list[list[float]] = []  # each pair's force in the states (N)
         self._slack = problem.slack.copy()
         #: of each predicted array, the polynomial order to predict it with
         self._order = dict.fromkeys(self._owned, 1)
@@ -57,13 +58,20 @@ class Predictor:
         for array in self._order:
             self._order[array] = self._best_order(state, array, abscissa)
         self._abscissae, self._states = [*self._abscissae, abscissa], [*self._states, state]
+        self._pressing.append([pair.pressing() for pair in self.problem.pairs])
         if len(self._states) > MAX_ORDER + 1:
-            del self._abscissae[0], self._states[0]
+            del self._abscissae[0], self._states[0], self._pressing[0]
             self._guesses = 0
 
-    def parted(self) -> list[bool]:
-        """Of each pair, whether it touched in the last state and does not now (collective)."""
-        return [before and not now for before, now in zip(self._touching, self._touch(), strict=True)]
+    def torn_off(self, abscissa: float) -> list[bool]:
+        """Of each pair, whether it touched in the last state and does not now, at an abscissa, though its force was not on
+        its course to zero (collective)."""
+        lost = [before and not now for before, now in zip(self._touching, self._touch(), strict=True)]
+        if len(self._states) < 2:
+            return lost
+        (x, y), (earlier, last) = self._abscissae[-2:], self._pressing[-2:]
+        beyond = (abscissa - y) / (y - x)
+        return [gone and b + (b - a) * beyond > 0.0 for gone, a, b in zip(lost, earlier, last, strict=True)]
 
     def _touch(self) -> list[bool]:
         """Of each pair, whether anything is in contact (collective)."""
@@ -79,7 +87,7 @@ class Predictor:
     def _forget(self, keep: int) -> None:
         """All but the last `keep` states."""
         last = len(self._states) - keep
-        del self._abscissae[:last], self._states[:last]
+        del self._abscissae[:last], self._states[:last], self._pressing[:last]
         self._guesses = 0
         self._order = dict.fromkeys(self._order, 1)
 

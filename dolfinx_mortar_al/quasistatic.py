@@ -521,10 +521,10 @@ class _LoadControl(Controller[Step]):
             attempt.good, attempt.message = stepping.CUT * length < max(LEAP, self.smallest), LEAPT
         if attempt.good and self._was_unstable and not self._unstable and self._going > FARTHER * self._pace:
             attempt.findings.append(Finding("leap (m)", way, X, LEFT, False))
-        if attempt.good and attempt.newton.wild and any(parted := self._predictor.parted()):
+        if attempt.good and attempt.newton.wild and any(torn := self._torn_off(leg)):
             # nor out of contact; with as little as OFF it counts, and is said
             attempt.good, attempt.message = stepping.CUT * length < max(OFF, self.smallest), LEAPT_OFF
-            for pair in (pair for pair, has in zip(self.problem.pairs, parted, strict=True) if has):
+            for pair in (pair for pair, has in zip(self.problem.pairs, torn, strict=True) if has):
                 attempt.findings.append(Finding(f"{pair.name}: contact lost in a leap", 0.0, (), LEAPT_OFF, False))
         if attempt.good and self.problem.has_thrown_off():
             attempt.good, attempt.message = False, THROWN_OFF
@@ -537,6 +537,10 @@ class _LoadControl(Controller[Step]):
         if self._from_last:
             attempt.cut, self._tried_from_last = 1.0, True
         return attempt
+
+    def _torn_off(self, leg: _Leg) -> list[bool]:
+        """Of each pair, whether its contact was lost in the last trial all of a sudden (collective)."""
+        return self._predictor.torn_off(self._x / leg.increments)
 
     def _slid_on(self, newton: NewtonResult, du: Array) -> bool:
         """Whether bodies have slid or tipped, while supports rest, to where contact holds them no more: by more than a facet,

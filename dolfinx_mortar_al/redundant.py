@@ -15,7 +15,7 @@ from dolfinx_mortar_al.reductions import any_over
 from dolfinx_mortar_al.surface import Facets
 from dolfinx_mortar_al.targets import DeformableTarget, Target
 
-__all__ = ["RedundantNodes"]
+__all__ = ["SMALL", "RedundantNodes"]
 
 Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
