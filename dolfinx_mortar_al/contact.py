@@ -23,7 +23,8 @@ class Contact:
 
     Args:
         contactor: carries the multiplier and the integration points; better the softer side, of equally stiff ones the
-            finer, and of a corner and a flat side the corner. One that is stiffer and finer is held smooth (docs/theory.md).
+            finer, and of a corner and a flat side the corner (where a sharp one slides, with ``projection="closest"``). One
+            that is stiffer and finer is held smooth (docs/theory.md).
         target: the surface that contactor points are projected onto, or a rigid obstacle. Left out, the contactor is its own
             target (``docs/self_contact.md``).
         friction: Coulomb's coefficient μ ≥ 0; the number 0 builds the problem with a scalar multiplier and no slip history.

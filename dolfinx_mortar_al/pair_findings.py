@@ -14,7 +14,7 @@ from dolfinx_mortar_al.monitors import Finding
 from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import dot
 from dolfinx_mortar_al.rays import OPPOSED
-from dolfinx_mortar_al.reductions import max_over, sum_over
+from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.redundant import SMALL
 from dolfinx_mortar_al.results import PairResults
 from dolfinx_mortar_al.smoothing import ALIKE
@@ -61,8 +61,8 @@ BY_OVERLAP = (
 BY_NORMALS = (
     "a corner or a rounded edge of the contactor with few facets rests on a smoother target, and pressure acts along the "
     "contactor's normals: the direction of this part's force (of separate parts of the contact the worst) is off by that "
-    "share; refine the contactor there if it is round, swap contactor and target, or take "
-    'projection="closest"'
+    "share; refine the contactor there if it is round; at a sharp corner take "
+    'projection="closest", or swap contactor and target'
 )
 TURNED = 0.03  # of the force
 DIPS = (
@@ -74,7 +74,8 @@ DIPS = (
 OF_FRICTION = 0.05  # of what friction bears in gross slip
 PATCHES = (
     "curved surfaces are in contact in patches, as the gaps between their facets are larger than what the pressure closes, "
-    "and pressures are too large; "
+    "and pressures in them are too large; where surfaces are pressed by a given interference, as in a shrink fit, the force "
+    "is too small; "
 )
 STRAIGHT = "take meshes of order 2 (gmsh -order 2) with displacements of order 2, or refine both surfaces"
 CURVED = "refine both surfaces"  # where facets are curved already
@@ -304,7 +305,7 @@ class PairFindings(PairResults):
         few = np.sum(amid) < MANY ** (self.gdim - 1)
         if few or open_ <= PATCHY * whole or not needed > borne > 0.0:
             return None
-        says = PATCHES + (STRAIGHT if self._has_straight_facets else CURVED)
+        says = PATCHES + (STRAIGHT if self._some_are_straight(amid) else CURVED)
         return Finding(f"{self.name}: open share amid the contact", float(open_ / whole), (), says, False)
 
     def narrow_zone(self) -> Finding | None:
@@ -366,10 +367,12 @@ class PairFindings(PairResults):
         """Whether facets fall short of a curved surface on either side; the same on all ranks."""
         return any(side.sagittas.any() for side in self._sides)
 
-    @property
-    def _has_straight_facets(self) -> bool:
-        """Whether some of those are straight."""
-        return any((side.sagittas[side.rises == 0.0] > 0.0).any() for side in self._sides)
+    def _some_are_straight(self, facets: NDArray[np.bool_]) -> bool:
+        """Whether some of those are straight, of the contactor's `facets` (whole nf,) or of what these face (collective)."""
+        own = self._own[self.integration.facet]
+        touched = [facets, np.unique(self.at.point.facet[facets[own]])]
+        straight = ((side.rises == 0.0) & (side.sagittas > 0.0) for side in self._sides)
+        return any_over(self.comm, any(each[there].any() for each, there in zip(straight, touched, strict=False)))
 
     @cached_property
     def largest_turn(self) -> float:

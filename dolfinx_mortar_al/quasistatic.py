@@ -53,9 +53,9 @@ THROWN_OFF = (
     "have done; take smaller steps"
 )
 MOVED_ON = (
-    "no equilibrium was found near the last one: the bodies let go, tip or snap there, or Newton's method did not get on; "
-    "they were moved on, each node slowed by a dashpot, to where they come to rest, friction following their way; "
-    "dynamics.march shows such motions in time"
+    "no equilibrium was found near the last one: the increment is too large, or the bodies let go, tip or snap there; they "
+    "were moved on, each node slowed by a dashpot, to where they come to rest, friction following their way; take smaller "
+    "increments; dynamics.march shows such motions in time"
 )
 SET_DOWN = (
     "contact alone holds bodies, and no equilibrium was found from where the meshes have them: they were let down, each node "
