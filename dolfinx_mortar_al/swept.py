@@ -22,6 +22,7 @@ DEPTH = 0.05  # of a facet, behind which an open point that came through its fro
 CHUNK = 2**20  # couples of points and facets looked at together
 OPPOSITE = -0.7  # cosine of the normals where a point has come in and out, of the two sides of a plate
 STEEP = 0.7  # sine of the angle between a way and a surface, below which it leads along it
+GRAZES = 1e-9  # of a way, on which a point that slides past an edge is in a surface at most
 AROUND = 0.25  # of a piece, beside which it may hold the closest point of what is behind a hollow
 BEHIND = 0.1  # cosine of the normals of a surface and of an obstacle, from which on that lies behind the surface,
 BENEATH = 0.5  # and where the surface lies in it: beside a corner that is pressed in they are at an angle
@@ -141,7 +142,8 @@ class _Ways:
             v[across] + t[across, None, None] * d[across] for v, d in ((c0, c1 - c0), (x0[:, None], (x1 - x0)[:, None]))
         )
         across = across[_inside(c, x[:, 0])]
-        across = across[np.lexsort([t[across], point[across]])]
+        # out at the very edge where it came in: round-off must not have it go out first
+        across = across[np.lexsort([t[across] - GRAZES * entry[across], point[across]])]
         self.point, self.entry, self._end, self._time = point[across], entry[across], end[across], t[across]
         self._normal = _normal((c0 + t[:, None, None] * (c1 - c0))[across], orientation[across])
 

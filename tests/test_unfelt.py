@@ -272,10 +272,12 @@ def test_paths_through_a_line():
 
 @pytest.mark.one_rank
 def test_paths_over_a_bump_and_through_a_plate():
-    """What comes out again elsewhere may have gone round; through the two sides of a plate it has not."""
+    """What comes out again elsewhere may have gone round; through the two sides of a plate it has not. What slides past the
+    bump's top is in it at most there."""
     bump = line([[0, 0], [1, 0.5], [2, 0]], orientation=-1.0)
     plate = line([[0, 0.1], [2, 0.1], [2, 0], [0, 0]], orientation=-1.0)
     assert passes(bump, [-1, 0.2], [3, 0.2]) == [False]
+    assert passes(bump, [[0.5, 0.5], [1.5, 0.5]], [[1.5, 0.5], [0.5, 0.5]]) == [False, False]
     assert passes(plate, [1, 1], [1, -1]) == [True]
 
 
