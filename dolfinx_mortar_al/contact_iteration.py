@@ -163,7 +163,8 @@ class ContactIteration:
             size, taken = self._balance(bulk), True
             patterns.append(self.problem.contact_pattern())
             if self._is_solid and size > ASTRAY * least and self.problem.free_bounds:
-                self._settle_frozen(bulk)
+                if not self._settle_frozen(bulk):
+                    break
                 size = least = self._balance(bulk)
                 patterns = [self.problem.contact_pattern()]
                 self._keep(self._best)
@@ -174,23 +175,25 @@ class ContactIteration:
             self._go_back(self._best)
         return taken
 
-    def _settle_frozen(self, bulk: LinearisedBulk) -> None:
+    def _settle_frozen(self, bulk: LinearisedBulk) -> bool:
         """From the state that was kept semi-smooth steps with friction bounds frozen until FROZEN of its residual is left
-        or no point changes its state."""
+        or points are in states that they were in before; whether they do not cycle."""
         p = self.problem
         self._go_back(self._best)
         pairs = p.freeze_bounds()
         for pair in pairs:
             pair.apply_law()
         start = size = self._balance(bulk)
-        before, pattern = None, p.contact_pattern()
-        while self._left > 0 and size > FROZEN * start and pattern != before:
+        patterns = [p.contact_pattern()]
+        while self._left > 0 and size > FROZEN * start and patterns[-1] not in patterns[:-1]:
             self._solve(bulk, self._left)
             self._advance()
-            size, before, pattern = self._balance(bulk), pattern, p.contact_pattern()
+            size = self._balance(bulk)
+            patterns.append(p.contact_pattern())
         for pair in pairs:
             pair.active.thaw()
             pair.apply_law()
+        return size <= FROZEN * start or patterns[-1] not in patterns[:-2]
 
     def _bulk_error(self) -> float:
         """Size of what the linearised bulk's forces are off by at z."""
