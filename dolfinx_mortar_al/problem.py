@@ -652,14 +652,20 @@ class ContactProblem(ProblemFindings):
         touch = max((pair.kinematics.touch for pair in self.pairs), default=0.0)
         return any(pair.obstacle_moves for pair in self.pairs) or self.ties.supports_move(touch)
 
+    def led(self, du: Array) -> float:
+        """How far supports go in the change du (owned dofs,) of the displacements since the last equilibrium (m); ∞ where
+        obstacles are led (collective)."""
+        if any(pair.obstacle_moves for pair in self.pairs):
+            return np.inf
+        return max_over(self.comm, float(np.abs(du[self.bodies.prescribed()]).max(initial=0.0)))
+
     def is_driven_on(self, du: Array) -> bool:
         """Whether something drives bodies on, along a motion that contact alone would hold them in, and supports and
         obstacles rest in the change du (owned dofs,) of the displacements since the last equilibrium (collective)."""
         if self.ties is None:
             return False
         touch = max((pair.kinematics.touch for pair in self.pairs), default=0.0)
-        moved = max_over(self.comm, float(np.abs(du[self.bodies.prescribed()]).max(initial=0.0))) > touch
-        rests = not moved and not any(pair.obstacle_moves for pair in self.pairs)
+        rests = self.led(du) <= touch
         return any_over(self.comm, rests and self.ties.drives_on)
 
     def tighten_ties(self) -> None:

@@ -147,6 +147,19 @@ class Unsteady(NewtonSolver):
         return result
 
 
+@pytest.mark.one_rank
+def test_no_increment_snaps_through_without_a_word(monkeypatch):
+    """A shallower arch, from 10 to 15 kN/m at once, snaps from one stable equilibrium to another, which no determinant tells:
+    Newton's method went there in silence. Its limit is 10.4 kN/m (eighty increments)."""
+    monkeypatch.setitem(globals(), "RISE", 0.04)
+    problem, load = arch()
+    steps = list(quasistatic.march(problem, load, to=2e4, increments=4))
+    snapped = [step.load for step, leapt in zip(steps, leaps(steps), strict=True) if leapt]
+    assert len(snapped) == 1 and 1.025e4 < snapped[0] < 1.13e4
+    assert sum(step.load < snapped[0] for step in steps) >= 2
+    assert tip(problem, (0.5, 0.04))[1] == pytest.approx(-0.08396, rel=1e-3)
+
+
 def test_what_leaves_an_unstable_equilibrium_is_said_to_have_leapt():
     """Where a step goes on twice as far and more from an unstable state to a stable one; not from there on."""
     problem, P = beams(friction=0.3)
