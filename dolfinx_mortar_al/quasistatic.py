@@ -78,6 +78,7 @@ FARTHER = 2.0  # times as far for its length as the step before: a leap, where a
 SPRINGS = (
     3.0  # the same, between stable equilibria: 325 steps of drawn scenes went at most 1.6 times as far (docs/newton.md)
 )
+AT_REST = 0.01  # facets: where bodies go less for a step, as the load rests, it tells nothing of the next one
 SPRANG = (
     "bodies went much farther in this step than in those before, as where they snap through, buckle or let go: on the way "
     "there friction counts as of one step; take smaller steps, or see the motion in time with dynamics.march"
@@ -552,8 +553,11 @@ class _LoadControl(Controller[Step]):
         """Whether a node has gone by more than a facet, `way` (m), and SPRINGS times as far as in the last step for its
         length and as supports have: equilibria near the last one may have been leapt over (collective)."""
         p = self.problem
-        far = self._going > SPRINGS * self._pace and p.longest_motion(du) > 1.0
-        return far and way > SPRINGS * p.led(du)
+        facets = p.longest_motion(du)
+        if not facets > 1.0:
+            return False
+        expected = facets * self._pace / self._going
+        return facets > SPRINGS * expected > AT_REST and way > SPRINGS * p.led(du)
 
     def _torn_off(self, leg: _Leg) -> list[bool]:
         """Of each pair, whether its contact was lost in the last trial all of a sudden (collective)."""
