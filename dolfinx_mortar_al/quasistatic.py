@@ -449,6 +449,7 @@ class _LoadControl(Controller[Step]):
         self._before: Array = np.zeros(0)  # displacements in the last accepted state
         # how far a node went for the length of the step, to that state and in the last trial (m)
         self._pace = self._going = np.inf
+        self._sprung = 0.0  # the same in the trial before, if a node went unexpectedly far
         self._path = start
         self._met = goes_on  # whether anything has been in contact in a state of this march, or may be after it
 
@@ -557,7 +558,12 @@ class _LoadControl(Controller[Step]):
         if not facets > 1.0:
             return False
         expected = facets * self._pace / self._going
-        return facets > SPRINGS * expected > AT_REST and way > SPRINGS * p.led(du)
+        if not (facets > SPRINGS * expected > AT_REST and way > SPRINGS * p.led(du)):
+            return False
+        # half as far in half of the step: the load goes faster than before; as far: a leap
+        smooth = self._going < self._sprung / np.sqrt(stepping.CUT)
+        self._sprung = self._going
+        return not smooth
 
     def _torn_off(self, leg: _Leg) -> list[bool]:
         """Of each pair, whether its contact was lost in the last trial all of a sudden (collective)."""
@@ -617,6 +623,7 @@ class _LoadControl(Controller[Step]):
         leg, stage = self._legs[self.leg], self.leg
         self._was_unstable = self._unstable
         self._before, self._pace = self.problem.bodies.get(), np.inf if self._leapt else self._going
+        self._sprung = 0.0
         self._from_last = self._tried_from_last = False
         self._restless &= bool(self.problem.floating)  # what contact alone holds, and slides, is let go once
         self.problem.loads.note(None if self._leapt else leg.load, leg.way(self._x))
