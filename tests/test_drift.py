@@ -155,7 +155,7 @@ def test_bounds():
                 assert all(name in text for text in names)
 
 
-@pytest.mark.parametrize("spin", [20.0, 1.0])
+@pytest.mark.parametrize("spin", [20.0, pytest.param(1.0, marks=pytest.mark.one_rank)])
 def test_a_stiff_bar_spins_on_above_a_plane(spin):
     """Steel, 0.1 m long, 5 m above a plane that it does not touch: round-off of positions there made much of what Newton left
     count as none, which added up (angular momentum 6e-7, energy 1e-6 in 100 steps, and a finding of a load); now 1e-8. The

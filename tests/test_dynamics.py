@@ -193,7 +193,7 @@ def test_supports_that_move_do_work(gap, friction):
     assert abs(ledger.energy_defect) < 1e-10 * ledger.external_work
 
 
-@pytest.mark.parametrize("led_is_contactor", [False, True])
+@pytest.mark.parametrize("led_is_contactor", [False, pytest.param(True, marks=pytest.mark.one_rank)])
 def test_a_led_body_pushes_and_does_not_pull(led_is_contactor):
     """A block at rest is struck by one whose nodes are led at 1 m/s: it leaves with nearly twice that, as from a heavy
     wall. While prescribed velocities counted as zero when contact's were made to agree, the led face held it back with

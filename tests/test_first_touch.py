@@ -41,17 +41,19 @@ def lowered(*marches, dim=2, order=2, swap=False, rigid=False, **options):
     return problem.pairs[0].force()
 
 
+ONE_RANK = pytest.mark.one_rank
+
+
 @pytest.mark.parametrize(
     "scene",
     [
-        {},
-        {"swap": True},
-        {"projection": "closest"},
-        {"rigid": True},
-        {"dim": 3, "order": 1},
-        {"integration": "segments"},
+        pytest.param({}, id="rays"),
+        pytest.param({"swap": True}, id="swapped", marks=ONE_RANK),
+        pytest.param({"projection": "closest"}, id="closest", marks=ONE_RANK),
+        pytest.param({"rigid": True}, id="rigid", marks=ONE_RANK),
+        pytest.param({"dim": 3, "order": 1}, id="space"),
+        pytest.param({"integration": "segments"}, id="segments", marks=ONE_RANK),
     ],
-    ids=["rays", "swapped", "closest", "rigid", "space", "segments"],
 )
 def test_force_of_a_block_that_sticks_where_it_lands_does_not_depend_on_increments(scene):
     """Until it touches it moves as a rigid body: where it lands is known exactly, whatever increment it lands in. Within 2e-3
@@ -68,7 +70,9 @@ def test_a_march_goes_on_as_if_it_had_not_been_interrupted():
     assert np.allclose(whole, parts, rtol=1e-9)
 
 
-@pytest.mark.parametrize("projection, multiplier_order", [("rays", 1), ("closest", 2)])
+@pytest.mark.parametrize(
+    "projection, multiplier_order", [("rays", 1), pytest.param("closest", 2, marks=pytest.mark.one_rank)]
+)
 def test_what_touches_unforeseen_counts_whole(projection, multiplier_order):
     """Points of the lower beam come under the tip of the upper one as that slides on: when, the last step does not say. All
     slide the same way, so that forces do not depend on increments (1e-8). With what they passed in the air taken off in full

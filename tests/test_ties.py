@@ -458,7 +458,14 @@ def test_a_pin_that_its_hole_presses_all_round_is_held(order, swap):
     assert pair.pressing() > 4e3
 
 
-@pytest.mark.parametrize("friction, swap", [(0.5, False), (0.5, True), (0.2, True)])
+@pytest.mark.parametrize(
+    "friction, swap",
+    [
+        pytest.param(0.5, False, marks=pytest.mark.one_rank),
+        (0.5, True),
+        pytest.param(0.2, True, marks=pytest.mark.one_rank),
+    ],
+)
 def test_a_lintel_lies_on_two_bricks_under_its_weight(friction, swap):
     """As it bends it slides on both bricks, so that friction holds neither it nor them while Newton is on its way, at
     whatever load, as all that touches does so exactly. They took 97 iterations, 166 with rejected trials, and the third
