@@ -75,9 +75,8 @@ LOADED = (
     "mesh's units?"
 )
 FARTHER = 2.0  # times as far for its length as the step before: a leap, where an unstable equilibrium has been left
-SPRINGS = (
-    3.0  # the same, between stable equilibria: 325 steps of drawn scenes went at most 1.6 times as far (docs/newton.md)
-)
+# the same, between stable equilibria: 325 steps of drawn scenes went at most 1.6 times as far (docs/newton.md)
+SPRINGS = 3.0
 AT_REST = 0.01  # facets: where bodies go less for a step, as the load rests, it tells nothing of the next one
 SPRANG = (
     "bodies went much farther in this step than in those before, as where they snap through, buckle or let go: on the way "
@@ -533,7 +532,7 @@ class _LoadControl(Controller[Step]):
         elif attempt.good and self._has_sprung(du, way):
             attempt.good, attempt.message = stepping.CUT * length < max(LEAP, self.smallest), SPRANG
             attempt.findings.append(Finding("leap (m)", way, X, SPRANG, False))
-        if attempt.good and attempt.newton.wild and any(torn := self._torn_off(leg)):
+        if attempt.good and attempt.newton.wild and any(torn := self._predictor.torn_off(self._x / leg.increments)):
             # nor out of contact; with as little as OFF it counts, and is said
             attempt.good, attempt.message = stepping.CUT * length < max(OFF, self.smallest), LEAPT_OFF
             for pair in (pair for pair, has in zip(self.problem.pairs, torn, strict=True) if has):
@@ -558,16 +557,12 @@ class _LoadControl(Controller[Step]):
         if not facets > 1.0:
             return False
         expected = facets * self._pace / self._going
-        if not (facets > SPRINGS * expected > AT_REST and way > SPRINGS * p.led(du)):
+        if expected <= AT_REST or facets <= SPRINGS * expected or way <= SPRINGS * p.led(du):
             return False
         # half as far in half of the step: the load goes faster than before; as far: a leap
         smooth = self._going < self._sprung / np.sqrt(stepping.CUT)
         self._sprung = self._going
         return not smooth
-
-    def _torn_off(self, leg: _Leg) -> list[bool]:
-        """Of each pair, whether its contact was lost in the last trial all of a sudden (collective)."""
-        return self._predictor.torn_off(self._x / leg.increments)
 
     def _slid_on(self, newton: NewtonResult, du: Array) -> bool:
         """Whether bodies have slid or tipped, while supports rest, to where contact holds them no more: by more than a facet,
