@@ -448,16 +448,16 @@ class ContactPair(PairFindings):
 
     def follow_again(self) -> bool:
         """A state has converged: AGAIN times in a solve, let points that rest though the target's end has moved follow it
-        once more, choose the multiplier's nodes anew, and ease what holds membranes flat; whether anything is another now
-        (collective). Where cuts alone have moved, as those of segments, it does not matter, nor does it help where they move
-        on farther each time."""
+        once more, choose the multiplier's nodes anew, ease what holds membranes flat, and let points count as they see the
+        target; whether anything is another now (collective). Where cuts alone have moved, as those of segments, it does not
+        matter, nor does it help where they move on farther each time."""
         segments = self.segments
         if self._again == 0:
             return False
-        eased = self._ease()
+        eased, freed = self._ease(), self._free_shares()
         chosen = self._leave_out_redundant(self.kinematics.nodes(), self.target.place)
         follows = segments is not None and bool(segments.settles) and segments.lags and not segments.diverges
-        if not (eased or chosen or follows):
+        if not (eased or freed or chosen or follows):
             return False
         self._again -= 1
         if follows:
@@ -617,6 +617,17 @@ class ContactPair(PairFindings):
     def _hold_shares(self, holds: bool) -> None:
         if isinstance(self.kinematics, PositionLevel):
             self.kinematics.holds_shares = holds
+
+    def _free_shares(self) -> bool:
+        """Let points that see the target at a slant count as they do there, where :meth:`hold_facets` has held that in a wild
+        iterate; whether it makes a difference (collective)."""
+        k = self.kinematics
+        if not (isinstance(k, PositionLevel) and k.holds_shares):
+            return False
+        held = k.share
+        self._hold_shares(False)
+        k.evaluate()
+        return any_over(self.comm, not np.array_equal(held, k.share))
 
     def hold_turned(self) -> bool:
         """Let points stick that slip to and fro, once per Newton iteration; whether there are any, on any rank."""

@@ -73,14 +73,21 @@ class Step(stepping.Step):
 
 @dataclass(frozen=True)
 class _Work:
-    """What contact does in a step (J): on the bodies along the normal and along the surface, what obstacles put in, and what
-    is lost for good along the normal and by friction."""
+    """What contact does in a step (J): on the bodies along the normal and along the surface, what obstacles put in, what is
+    lost for good along the normal and by friction, and the most that augmentation stores at either end."""
 
     normal: float
     tangential: float
     by_obstacles: float
     lost: float
     rubbed: float
+    stored: float
+
+    @property
+    def gain(self) -> float:
+        """What contact would give (J): on the whole, or along the normal or by friction beyond what is stored, which passes
+        from one to the other as nodes' normals turn from step to step."""
+        return max(-(self.lost + self.rubbed), -self.lost - self.stored, -self.rubbed - self.stored)
 
 
 def march(
@@ -376,7 +383,7 @@ class _TimeControl(Controller[Step]):
         self._work = self._contact_work()
         reasons = [str(f) for f in findings if f.fatal]
         allowed = GAIN * max(self.ledger.total + self.ledger.impact_loss + self.ledger.friction_dissipation, 0.0)
-        gain = max(-self._work.lost, -self._work.rubbed)
+        gain = self._work.gain
         if gain > allowed + sum(pair.round_off_energy() for pair in self.problem.pairs):
             reasons.append(f"contact would give {gain:.3g} J to the bodies in this step; take a smaller one")
         for pair, level in zip(self.problem.pairs, self.levels, strict=True):
@@ -399,7 +406,8 @@ class _TimeControl(Controller[Step]):
         normal, tangential, by_obstacles = sums.tolist()
         along_normal, held = self._stored()
         lost = self.ledger.contact - self.ledger.held - along_normal - normal
-        return _Work(normal, tangential, by_obstacles, lost, self.ledger.held - held - tangential)
+        stored = max(self.ledger.contact, along_normal + held)
+        return _Work(normal, tangential, by_obstacles, lost, self.ledger.held - held - tangential, stored)
 
     def _local_error(self, Δt: float) -> float:
         """What the mid-point rule leaves out in this step, Δt³ 𝐮‴/12 (m): the root mean square over the components of each

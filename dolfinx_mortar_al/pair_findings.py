@@ -15,7 +15,6 @@ from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import dot
 from dolfinx_mortar_al.rays import OPPOSED
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
-from dolfinx_mortar_al.redundant import SMALL
 from dolfinx_mortar_al.results import PairResults
 from dolfinx_mortar_al.smoothing import ALIKE
 from dolfinx_mortar_al.surface import GatheredFacets, surface_normal
@@ -35,6 +34,7 @@ FINE = (
     "few of the target's facets wide: they cannot follow what the multiplier asks of them, and pressures oscillate "
     "(resultants do not); refine the target, or swap contactor and target"
 )
+HARDLY = 1e-6  # share of the target's shape functions: a point that free nodes move by less is prescribed
 STIFFER = 4.0  # of stiffnesses per area: pressures on finer contactors were off by more than a tenth from there on
 ALTERNATES = 0.05  # of the pressure, within facets: it is off by a tenth at their nodes, in turn
 MUCH_STIFFER = 10.0  # the same; solves that failed went through with the roles swapped from 15 on (docs/robustness.md)
@@ -191,7 +191,7 @@ class PairFindings(PairResults):
         if isinstance(self.target, DeformableTarget):  # within facets it may be free all the same
             free = ~self.target.fixed[self.target.facets[self.at.point.facet]]
             moves = np.einsum("nk,nki->ni", np.abs(self.kinematics.weights), free)
-            prescribed &= (moves < SMALL).all(axis=1)
+            prescribed &= (moves < HARDLY).all(axis=1)
         g = np.where(prescribed, self.at.g, -np.inf)
         k = int(np.argmax(g)) if len(g) else -1
         mine = (float(g[k]), tuple(self.points()[k].tolist())) if len(g) else (-np.inf, ())

@@ -8,9 +8,8 @@ of ranks that share no ghost: element blocks are inserted with global indices an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -26,19 +25,20 @@ from dolfinx_mortar_al.bulk_stiffness import BulkStiffness
 from dolfinx_mortar_al.contact import Contact, check_surfaces
 from dolfinx_mortar_al.contact_motions import ContactMotions
 from dolfinx_mortar_al.contact_pair import ContactPair
+from dolfinx_mortar_al.dashpots import Dashpots
 from dolfinx_mortar_al.given import Given
 from dolfinx_mortar_al.led import lead
 from dolfinx_mortar_al.load import Loads
 from dolfinx_mortar_al.monitors import Monitor, Reporter
 from dolfinx_mortar_al.motion import Motion
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector, matrix_with_pattern, row_by_row
-from dolfinx_mortar_al.problem_findings import ProblemFindings
+from dolfinx_mortar_al.problem_ties import ProblemTies
 from dolfinx_mortar_al.ranks import agreed
 from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.shared_nodes import SharedNodes
 from dolfinx_mortar_al.standing import Standing
 from dolfinx_mortar_al.stopwatch import Stopwatch
-from dolfinx_mortar_al.ties import Bearing, Ties
+from dolfinx_mortar_al.ties import Ties
 from dolfinx_mortar_al.validation import check_names, joint_thickness, listed
 
 __all__ = ["ContactProblem", "Snapshot", "check_problem"]
@@ -50,14 +50,6 @@ Index = NDArray[np.int64]
 LEAST_SPRING = 1e-13  # share of a piece's stiffness that keeps the Jacobian regular where a motion stays free
 SPARE = 2  # rings of target facets around contact in the plane that matrices have room for from the start
 UNSEEN = 1e-6  # share of round-off in a body's forces below which a load counts as none from the start
-
-
-@dataclass(frozen=True)
-class Dashpots:
-    """What slows nodes down in a step: forces `stiffness` × (u − `since`), (owned dofs,) in N/m and m."""
-
-    stiffness: Array
-    since: Array
 
 
 #: All that a step may change, on this rank: arrays by the name of the member that owns them and their own.
@@ -74,7 +66,7 @@ class Member(Protocol):
         """Back to a snapshot."""
 
 
-class ContactProblem(ProblemFindings):
+class ContactProblem(ProblemTies):
     """Bodies with contact pairs: ``ContactProblem(body, contacts=…)`` with a :class:`~dolfinx_mortar_al.body.Body`, in motion
     with a :class:`~dolfinx_mortar_al.motion.Motion`, or several; or ``ContactProblem(F, u, bcs=…, contacts=…)`` with any
     residuals F(u; v) = 0.
@@ -359,7 +351,7 @@ class ContactProblem(ProblemFindings):
             if self.ties is not None and self.ties.acts:
                 self.bulk_forces.array[:] += self.ties.forces()
             if self.dashpots is not None:
-                self.bulk_forces.array[:] += self.dashpots.stiffness * (self.bodies.get() - self.dashpots.since)
+                self.bulk_forces.array[:] += self.dashpots.forces(self.bodies.get())
 
     def add_contact(self, f: PETSc.Vec) -> None:
         """f ← the bulk's forces and those of contact, as last evaluated."""
@@ -512,13 +504,6 @@ class ContactProblem(ProblemFindings):
             mine = np.arange(*A.getOwnershipRange(), dtype=np.int32)[:, None]
             A.setValuesRCV(mine, mine, self.dashpots.stiffness[:, None, None], _ADD)
 
-    def has_thrown_off(self) -> bool:
-        """Whether a piece that contact alone holds is far from where the last solve began, and nothing touches it
-        (collective)."""
-        if self.ties is None:
-            return False
-        return bool((self.ties.far() & (self._touched_now() == 0)).any())
-
     def evaluate(self) -> None:
         """Bring the pairs' contact state, and all that is reported of it, up to date with the displacements."""
         for pair in self.pairs:
@@ -549,35 +534,6 @@ class ContactProblem(ProblemFindings):
             nodes = mine.reshape(-1, self.gdim)
             A.setValuesRCV(nodes, nodes, self.ties.springs(multigrid=self.spare_pattern), _ADD)
 
-    def measure_ties(self, response: Callable[[Array], Array]) -> None:
-        """What resists rigid motions in this state, from the displacements that nodal forces (owned dofs,) lead to
-        (collective)."""
-        if self.ties is not None:
-            self.ties.measure(response, self._pressing())
-
-    def dragged(self) -> Array:
-        """(pieces, motions) what ties would bear more (N) if the pieces went on along them by what undoes how far surfaces
-        with friction have slid in this step (collective)."""
-        assert self.ties is not None
-        return self.ties.further(self._contact_motions.that_undo_slip(self.ties.ways.T))
-
-    def ties_bear(self) -> Bearing:
-        """What ties bear, as shares of the contact forces on each piece (collective). Forces that balance each other on a
-        piece count, as of a disc in its hole."""
-        assert self.ties is not None
-        present = self._pressing()
-        np.maximum(self._pressed, present, out=self._pressed)
-        return self.ties.bearing(
-            self.bulk_forces.array_r,
-            self._pressed,
-            self.standing.pressed,
-            present,
-            self._no_press(),
-            self._touched * len(self.pairs),
-            self._contact_motions.turns(),
-            self._contact_motions.rubbing,
-        )
-
     def begin(self) -> None:
         """A new solve (collective)."""
         if not self.motions:  # time steps need one space of multipliers, and one ε
@@ -585,114 +541,6 @@ class ContactProblem(ProblemFindings):
             self._shared_nodes.leave_out(everywhere=False)
         for pair in self.pairs:
             pair.begin()
-
-    def start_ties(self) -> None:
-        """At the start of a solve: along motions that next to nothing resisted in the last equilibrium, or before the first
-        one along those that what touches does not hold; along none where dashpots resist all (collective)."""
-        if self.ties is None:
-            return
-        self._pressed[:], self._slid[:] = 0.0, False
-        if self.dashpots is not None:
-            self.ties.rest()
-        else:
-            self.ties.begin(self._contact_motions.held_by_touch if self.is_at_start else None)
-
-    def catch_slipping(self, f: PETSc.Vec, *, begins: bool) -> None:
-        """In the middle of a solve: where all points of another pair with friction slip tie what it alone held; f, the
-        residual, is brought up to date. What slips where it `begins` did so in the last equilibrium, in which what resists
-        was measured (collective)."""
-        new = self.gives_way()
-        if self.ties is None or not new.any():
-            return
-        self._slid |= new
-        if begins:
-            return
-        _, stick = self._contact_motions.slip_and_stick()
-        self.bulk_forces.array[:] -= self.ties.forces()
-        self.ties.catch(partial(self._contact_motions.held, stick == 0))
-        self.bulk_forces.array[:] += self.ties.forces()
-        self.add_contact(f)
-
-    def gives_way(self) -> NDArray[np.bool_]:
-        """(pairs,) which pairs with friction slip at all points for the first time in this solve, where contact alone holds
-        bodies (collective)."""
-        if self.ties is None or self.dashpots is not None:
-            return np.zeros(len(self.pairs), dtype=bool)
-        return np.asarray(self._slips_all_over() & ~self._slid)
-
-    def _slips_all_over(self) -> NDArray[np.bool_]:
-        """(pairs,) which pairs with friction slip at all points (collective)."""
-        slip, stick = self._contact_motions.slip_and_stick()
-        return np.asarray((stick == 0) & (slip > 0) & self._rough)
-
-    def contact_holds(self) -> bool:
-        """Whether contact alone holds pieces as firmly as supports would, in the equilibrium just found: stability of these
-        is told as that of others, while bodies that may slide or roll are neutral (collective)."""
-        return self.ties is not None and self.ties.are_stuck(self._contact_motions.held_by_stick)
-
-    def loosen_ties(self, f: PETSc.Vec) -> None:
-        """At the start of a solve in which supports or obstacles move: where pairs with friction stick, at least in part, and
-        that holds what is tied, the first step does without ties, which go where it leads (:meth:`tighten_ties`), and
-        without springs: bodies may be carried along, far from where they were, and next to nothing that held them back
-        would be more than friction bears. f, the residual, is brought up to date (collective)."""
-        if self.ties is None or not self._supports_move():
-            return
-        slip, stick = self._contact_motions.slip_and_stick()
-        rub = self._rough & (slip + stick > 0)
-        if not rub.any() or not stick[rub].all() or not self.ties.are_spare(self._contact_motions.held_by_stick):
-            return
-        self.bulk_forces.array[:] -= self.ties.forces()
-        self.ties.release()
-        self.ties.are_loose = True
-        self.add_contact(f)
-
-    def _supports_move(self) -> bool:
-        """Whether prescribed values, or rigid obstacles, have moved since the last equilibrium (collective)."""
-        assert self.ties is not None
-        touch = max((pair.kinematics.touch for pair in self.pairs), default=0.0)
-        return any(pair.obstacle_moves for pair in self.pairs) or self.ties.supports_move(touch)
-
-    def led(self, du: Array) -> float:
-        """How far supports go in the change du (owned dofs,) of the displacements since the last equilibrium (m); ∞ where
-        obstacles are led (collective)."""
-        if any(pair.obstacle_moves for pair in self.pairs):
-            return np.inf
-        return max_over(self.comm, float(np.abs(du[self.bodies.prescribed()]).max(initial=0.0)))
-
-    def is_driven_on(self, du: Array) -> bool:
-        """Whether something drives bodies on, along a motion that contact alone would hold them in, and supports and
-        obstacles rest in the change du (owned dofs,) of the displacements since the last equilibrium (collective)."""
-        if self.ties is None:
-            return False
-        touch = max((pair.kinematics.touch for pair in self.pairs), default=0.0)
-        rests = self.led(du) <= touch
-        return any_over(self.comm, rests and self.ties.drives_on)
-
-    def tighten_ties(self) -> None:
-        """After such a step: tie the pieces to where they are now; the bulk's forces, which are those before it, are brought
-        up to date (collective)."""
-        if self.ties is None or not self.ties.are_loose:
-            return
-        before = self.ties.anchor
-        self.ties.release()
-        self.ties.are_loose = False
-        self.bulk_forces.array[:] += self.ties.pull(before - self.ties.anchor)
-
-    def move_ties(self, f: PETSc.Vec, bear: Array, *, softer: bool) -> bool:
-        """Tie the pieces to where the ties bear so much, (pieces, motions) in N, by softer ties if need be; f, the residual,
-        is brought up to date. Whether other motions are tied than before (collective)."""
-        assert self.ties is not None
-        for pair in self.pairs:
-            pair.begin_again()
-        self.bulk_forces.array[:] -= self.ties.forces()
-        if softer:
-            self.ties.soften()
-        self.ties.move(bear)
-        changed = self.ties.engage()
-        self._slid &= self._slips_all_over()  # what sticks again may be what resists
-        self.bulk_forces.array[:] += self.ties.forces()
-        self.add_contact(f)
-        return changed
 
     def unsupported(self) -> bool:
         """Whether some piece may float while some pair is open all over (collective)."""

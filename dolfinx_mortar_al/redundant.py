@@ -1,7 +1,9 @@
 """Nodes of the contactor at which supports leave the multiplier nothing to enforce (docs/theory.md).
 
 Where a component of the displacement is prescribed on both sides its multiplier has no equation: the system is singular.
-Such nodes have no part in the multiplier, which is extrapolated from the others of their facets.
+Where the surfaces end a little apart, the contactor's last node lies a little inside the target's last facet, whose other
+nodes move; its equation is then nearly that of its neighbours, and what it asks for beyond them locks both facets. Such nodes
+have no part in the multiplier, which is extrapolated from the others of their facets.
 """
 
 from __future__ import annotations
@@ -15,12 +17,12 @@ from dolfinx_mortar_al.reductions import any_over
 from dolfinx_mortar_al.surface import Facets
 from dolfinx_mortar_al.targets import DeformableTarget, Target
 
-__all__ = ["SMALL", "RedundantNodes"]
+__all__ = ["RedundantNodes"]
 
 Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-SMALL = 1e-6  # share of its shape functions: a point to which free nodes contribute less is prescribed
+MOSTLY = 0.5  # share of its shape functions: a point to which free nodes contribute less counts as prescribed
 
 
 class RedundantNodes:
@@ -51,7 +53,7 @@ class RedundantNodes:
             nodes, here = target.surface.X if place is None else place, contactor_points(points, contactor)
             at, near = target.opposite(here, nodes)
             free = ~target.fixed[target.facets[at.facet]]
-            given = np.einsum("nk,nki->ni", np.abs(target.weights(at)), free) < SMALL
+            given = np.einsum("nk,nki->ni", np.abs(target.weights(at)), free) < MOSTLY
             planes = target.holds_plane(facets.X[facet, node])
             if target.is_contactor:  # whose own clamped face may be plane
                 planes &= ~np.asarray(fixed[facet, node].all(axis=1))[:, None]

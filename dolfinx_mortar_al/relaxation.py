@@ -21,8 +21,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from dolfinx_mortar_al.dashpots import Dashpots
 from dolfinx_mortar_al.newton import NewtonResult, NewtonSolver
-from dolfinx_mortar_al.problem import ContactProblem, Dashpots
+from dolfinx_mortar_al.problem import ContactProblem
 from dolfinx_mortar_al.stepping import EASY
 
 __all__ = ["relax"]

@@ -252,3 +252,34 @@ def test_what_is_no_last_displacement():
         dynamics.Motion(body, step=whole)
     with pytest.raises(ValueError, match="step = 0"):
         dynamics.Motion(body, step=fem.Constant(u.function_space.mesh, 0.0))
+
+
+@pytest.mark.one_rank
+def test_sheets_with_friction_that_turn_fast_have_no_step_refused():
+    """Two square sheets are thrown at each other. As they turn, part of what is stored along normals becomes stored friction
+    from step to step: 38 steps were refused for energy, while contact as a whole takes some."""
+
+    def thrown(y, towards):
+        flat = mesh.create_unit_square(MPI.COMM_SELF, 8, 8)
+        points = flat.geometry.x + np.array([0.0, 0.0, y])
+        element = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,))
+        domain = mesh.create_mesh(MPI.COMM_SELF, cells=geometry_nodes(flat), x=points, e=element)
+        V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
+        rim = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(np.abs(x[:2] - 0.5), 0.5).any(axis=0))
+        held = fem.dirichletbc(np.zeros(3), fem.locate_dofs_topological(V, 1, rim), V)
+        law = membrane.neo_hookean_membrane(2e6, 0.3, 1e-3)
+        motion = dynamics.Motion(Body(fem.Function(V), law, density=1000.0, bcs=[held]), step=1e-3)
+        speed = 3.0 * towards
+        motion.velocity.interpolate(lambda x: np.outer([0, 0, speed], np.sin(np.pi * x[0]) * np.sin(np.pi * x[1])))
+        count = domain.topology.index_map(2).size_local
+        tags = mesh.meshtags(domain, 2, np.arange(count, dtype=np.int32), np.ones(count, dtype=np.int32))
+        return motion, Surface(domain, tags, 1, side=[0.0, 0.0, towards])
+
+    (upper, over), (lower, under) = thrown(0.05, -1.0), thrown(-0.05, 1.0)
+    problem = ContactProblem([upper, lower], contacts=[Contact(over, under, friction=0.3)])
+    steps = list(dynamics.march(problem, to=0.04))
+    assert len(steps) == 40 and not any(step.rejected for step in steps)
+    ledger = steps[-1].ledger
+    assert (
+        ledger.impact_loss > 0 and ledger.friction_dissipation > 0 and abs(ledger.energy_defect) < 1e-8 * ledger.total
+    )

@@ -7,7 +7,18 @@ import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
-from dolfinx_mortar_al import Body, Contact, ContactProblem, Surface, loads, materials, membrane, quasistatic, reaction
+from dolfinx_mortar_al import (
+    Body,
+    Contact,
+    ContactProblem,
+    NewtonSolver,
+    Surface,
+    loads,
+    materials,
+    membrane,
+    quasistatic,
+    reaction,
+)
 from dolfinx_mortar_al.quasistatic import Stage
 
 DEEP, THICK = 0.02, 0.1  # m
@@ -140,3 +151,35 @@ def test_sheets_clamped_in_one_frame_press_on_each_other(cells):
     assert sum(step.rejected for step in steps) == 0 and max(step.iterations for step in steps) <= 8
     sag = problem.comm.allreduce(u.x.array.min(), MPI.MIN)
     assert sag == pytest.approx(-0.4245, rel=0.04)
+
+
+@pytest.mark.parametrize("order, integration", [(1, "gauss"), (2, "segments")])
+def test_surfaces_that_end_at_supports_a_hair_apart(order, integration):
+    """Two plates held at their sides, pressed together; then the upper supports go on by a ten thousandth of a facet. The
+    contactor's last node had an equation of its own then, and the force was 9 % (order 1) and -3 % off."""
+    corners = [[(-1.0, 0.0), (1.0, 0.3)], [(-1.0, -0.3), (1.0, 0.0)]]
+    shift, bodies, sides = None, [], []
+    for (low, high), sign in zip(corners, (-1.0, 1.0), strict=True):
+        domain = mesh.create_rectangle(MPI.COMM_WORLD, [low, high], (4, 1), mesh.CellType.quadrilateral)
+        faced = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 0.0))
+        pressed = mesh.locate_entities_boundary(domain, 1, lambda x: ~np.isclose(x[1], 0.0) & (np.abs(x[0]) < 0.75))
+        facets = np.concatenate([faced, pressed])
+        order_of = np.argsort(facets)
+        values = np.repeat([BOTTOM, TOP], [len(faced), len(pressed)]).astype(np.int32)
+        tags = mesh.meshtags(domain, 1, facets[order_of], values[order_of])
+        V = fem.functionspace(domain, ("Lagrange", order, (2,)))
+        held = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(np.abs(x[0]), 1.0))
+        place = fem.Constant(domain, np.zeros(2))
+        shift = shift or place
+        load = ufl.as_vector([0.0, sign * 1e6]), ufl.Measure("ds", domain, subdomain_data=tags)(TOP)
+        support = fem.dirichletbc(place, fem.locate_dofs_topological(V, 1, held), V)
+        bodies.append(Body(fem.Function(V), materials.neo_hookean(1e9, 0.3), external=[load], bcs=[support]))
+        sides.append(Surface(domain, tags, BOTTOM))
+    problem = ContactProblem(bodies, contacts=[Contact(*sides, integration=integration)])
+    solver, forces = NewtonSolver(problem), []
+    for x in (0.0, 5e-5):
+        shift.value[0] = x
+        assert solver.solve().converged
+        problem.commit()
+        forces.append(problem.pairs[0].force()[1])
+    assert abs(forces[1] / forces[0] - 1) < 1e-3

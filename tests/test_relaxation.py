@@ -9,9 +9,9 @@ from mpi4py import MPI
 from scenes import beams, rough, set_field, tip
 
 from dolfinx_mortar_al import Contact, ContactProblem, NewtonSolver, Surface, quasistatic
+from dolfinx_mortar_al.dashpots import Dashpots
 from dolfinx_mortar_al.materials import neo_hookean, saint_venant_kirchhoff
 from dolfinx_mortar_al.obstacles import RigidPlane, RigidSphere
-from dolfinx_mortar_al.problem import Dashpots
 from dolfinx_mortar_al.quasistatic import StepFailure
 from dolfinx_mortar_al.relaxation import relax
 
