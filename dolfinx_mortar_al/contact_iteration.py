@@ -41,7 +41,6 @@ SOLVES = 8  # at most in one of them
 # solves in all for a Newton step: MUMPS factorises in the time of 20 to 37 (docs/newton.md); in the plane at least, and on
 # fine meshes, where the edges of contact have more facets to go, times the root of the number of unknowns; in space
 MOST, FINER, MOST_IN_SPACE = 40, 0.8, 200
-SHORTENED = 8  # times fewer in the plane where the step is shortened: that state may be of no equilibrium near by
 ENDS = 0.01  # of the tolerance: once begun they go on to it, as they converge linearly and Newton's last step does not
 AFFORDED = 5.0  # of them that may be to come in the plane: Newton's next iteration costs four (bars) to six (disc)
 ASTRAY = 4.0  # times the least residual so far: semi-smooth steps with more in space go on from there by Tresca's law,
@@ -126,7 +125,7 @@ class ContactIteration:
         self._goal.scale(1.0 - share)
         self._decisions, self._before = [pair.decisions() for pair in p.pairs], p.contact_pattern()
         p.bulk_forces.copy(self._forces)
-        self._left = self._most if share == 1.0 or self._is_solid else self._most // SHORTENED
+        self._left = self._most
         self._total.set(0.0)
         self._evaluate()
         if p.gives_way().any():
