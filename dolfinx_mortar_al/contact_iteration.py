@@ -38,7 +38,7 @@ ENOUGH = 0.01  # of the residual that Newton's step started from: the bulk's non
 CHORD = 0.2  # of the residual: steps with an old derivative go on while each leaves less,
 HALF = 0.5  # in space, where a Newton iteration costs several of them
 SOLVES = 8  # at most in one of them
-# solves in all for a Newton step: MUMPS factorises in the time of 20 to 37 (docs/newton.md); in the plane at least, and on
+# solves in all for a Newton step: MUMPS factorises in the time of 6 to 37 (docs/newton.md); in the plane at least, and on
 # fine meshes, where the edges of contact have more facets to go, times the root of the number of unknowns; in space
 MOST, FINER, MOST_IN_SPACE = 40, 0.8, 200
 ENDS = 0.01  # of the tolerance: once begun they go on to it, as they converge linearly and Newton's last step does not

@@ -41,8 +41,8 @@ class ProblemTies(ProblemFindings):
     # ---------------------------------------------------------------- in the course of a solve
 
     def start_ties(self) -> None:
-        """At the start of a solve: along motions that next to nothing resisted in the last equilibrium, or before the first
-        one along those that what touches does not hold; along none where dashpots resist all (collective)."""
+        """At the start of a solve tie the motions that next to nothing resisted in the last equilibrium, or before the
+        first one those that what touches does not hold; none where dashpots resist all (collective)."""
         if self.ties is None:
             return
         self._pressed[:], self._slid[:] = 0.0, False
