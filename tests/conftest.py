@@ -12,6 +12,9 @@ from ffcx.codegeneration import jit
 from mpi4py import MPI
 
 
+PATIENCE = 120  #: seconds
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Several ranks leave out what is marked `one_rank`, one rank what is marked `several_ranks`."""
     mark = "one_rank" if MPI.COMM_WORLD.size > 1 else "several_ranks"
@@ -22,13 +25,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(scope="session", autouse=True)
 def kept_modules() -> Iterator[None]:
-    """A compiled form that is loaded already is not looked for again: FFCx lists the folder of its cache each time."""
+    """A compiled form that is loaded already is not looked for again: FFCx lists the folder of its cache each time. One that
+    another run of tests is compiling is waited for, longer than FFCx would."""
     loaded: dict[tuple[str, ...], Any] = {}
     look_up = jit.get_cached_module
 
-    def kept(name: str, objects: list[str], *where: Any) -> Any:
+    def kept(name: str, objects: list[str], folder: Path, _: int) -> Any:
         key = (name, *objects)
-        found = loaded.get(key) or look_up(name, objects, *where)
+        found = loaded.get(key) or look_up(name, objects, folder, PATIENCE)
         if found[0] is not None:
             loaded[key] = found
         return found

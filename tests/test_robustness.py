@@ -88,11 +88,14 @@ def test_a_corner_within_facets_in_contact_is_said_and_what_helps(monkeypatch):
 
 
 def test_a_law_that_gives_way_is_named():
-    """A soft beam on one five hundred times stiffer has no answer beyond .41 of its way, in 3 or 24 increments: cells of
-    Saint Venant and Kirchhoff's law would be inverted. One of the neo-Hookean law goes through."""
+    """A soft beam on one five hundred times stiffer has no answer beyond .41 of its way, in 3, 12 or 24 increments: cells of
+    Saint Venant and Kirchhoff's law would be inverted. One of the neo-Hookean law goes on to more than .8 (seen: .92), in
+    steps that are not halved."""
     scene = draw(51001, 39)
-    assert "each step would leave an inverted cell" in march(scene, smallest=1.0)["error"]
-    assert march(replace(scene, upper=replace(scene.upper, material="neo_hookean")), 8)["error"] is None
+    run = march(scene, 4, smallest=1.0)
+    assert "each step would leave an inverted cell" in run["error"] and len(run["steps"]) < 0.5 * 12
+    other = march(replace(scene, upper=replace(scene.upper, material="neo_hookean")), 4, smallest=1.0)
+    assert len(other["steps"]) > 0.8 * 12
 
 
 def cantilever(above):
