@@ -11,7 +11,6 @@ import pytest
 from ffcx.codegeneration import jit
 from mpi4py import MPI
 
-
 PATIENCE = 120  #: seconds
 
 
