@@ -80,6 +80,8 @@ class BodyForms:
         self._inverted = compiled(self._inversion_indicator(), self.mesh)
         #: (nodes,) the connected piece of the mesh that each node belongs to, ghosts included; how many there are
         self.piece, self.pieces = pieces_of(self.space)
+        #: whether inertia holds what nothing else does
+        self.has_inertia = False
         #: pieces that nothing but contact holds, as found with the start state's stiffness
         self.floating: list[Piece] = []
         self._tension: Any = None  # few problems need it
@@ -340,6 +342,13 @@ class Bodies:
             size += max_over(self.comm, reach)
         return np.asarray(np.linalg.norm(size, axis=1))
 
+    def ways(self) -> Array:
+        """(pieces,) how far the farthest node of each piece is from its reference position (m), collective."""
+        ways = np.zeros(self.pieces)
+        moved = np.linalg.norm(self.get().reshape(-1, self.gdim), axis=1)
+        np.maximum.at(ways, self.piece_of_dof[:: self.gdim], moved)
+        return max_over(self.comm, ways)
+
     def resultants(self, values: Array) -> Array:
         """(pieces,) largest component of the sum of nodal forces (owned dofs,) on each piece over the root of its number of
         nodes, of floating pieces along the axes in which nothing is prescribed (collective): of what springs or inertia hold
@@ -464,7 +473,8 @@ class Bodies:
         self.softest: list[Array] = []
         for k, body in enumerate(self.bodies):
             A = body.stiffness()
-            body.floating = floating_pieces(body.space, body.piece, body.prescribed(), A)
+            if not body.has_inertia:
+                body.floating = floating_pieces(body.space, body.piece, body.prescribed(), A)
             diagonal = fem.Function(body.space)
             A.getDiagonal(diagonal.x.petsc_vec)
             diagonal.x.scatter_forward()

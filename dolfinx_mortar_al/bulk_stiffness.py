@@ -34,12 +34,13 @@ class BulkStiffness:
 
     Attributes:
         firmness: (pieces,) largest stiffness times diameter: the size of forces that strain a piece by one (N).
+        diameters: (pieces,) of the bodies at the start (m).
     """
 
     def __init__(self, bodies: Bodies, pairs: Sequence[ContactPair], diagonals: Sequence[fem.Function]) -> None:
         self._bodies, self._pairs, self._start = bodies, pairs, bodies.get()
-        self._diameters = bodies.diameters()
-        self.firmness = bodies.stiffest(diagonals) * self._diameters
+        self.diameters = bodies.diameters()
+        self.firmness = bodies.stiffest(diagonals) * self.diameters
         yielding = bodies.yielding(diagonals)
         for pair in pairs:
             pair.set_stiffness(yielding)
@@ -56,7 +57,7 @@ class BulkStiffness:
         self._bodies.set(self._start)
         diagonals = self._bodies.diagonals()
         self._bodies.set(present)
-        firmness = self._bodies.stiffest(diagonals) * self._diameters
+        firmness = self._bodies.stiffest(diagonals) * self.diameters
         self.firmness = np.where(_far(firmness, self.firmness), firmness, self.firmness)
         yielding = self._bodies.yielding(diagonals)
         for pair in self._pairs:

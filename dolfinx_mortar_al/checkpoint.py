@@ -28,7 +28,7 @@ from dolfinx_mortar_al.ledger import Ledger
 from dolfinx_mortar_al.monitors import warn
 from dolfinx_mortar_al.problem import ContactProblem, Snapshot, check_problem
 from dolfinx_mortar_al.ranks import on_root, together
-from dolfinx_mortar_al.validation import number, path_of
+from dolfinx_mortar_al.validation import make_folder, number, path_of
 
 __all__ = ["Checkpoint", "Saved"]
 
@@ -66,7 +66,7 @@ class Checkpoint:
             for pair in problem.pairs:
                 pair.use_steps()
         self._slot, self._serial = 0, 0
-        on_root(problem.comm, lambda: self._directory.mkdir(parents=True, exist_ok=True))
+        on_root(problem.comm, lambda: make_folder("directory", self._directory))
 
     def _file(self, slot: int) -> Path:
         return self._directory / f"checkpoint_{slot}_{self._problem.comm.rank}.npz"

@@ -290,10 +290,11 @@ class ContactPair(PairFirmness):
 
     # ---------------------------------------------------------------- state
 
-    def begin(self) -> None:
-        """A new solve."""
+    def begin(self, way: float = 0.0) -> None:
+        """A new solve, nodes up to `way` (m) from their reference positions."""
+        self.kinematics.reach_on(way)
         if isinstance(self.law, Coulomb):
-            self.law = replace(self.law, μ=self.friction_coefficient)
+            self.law = replace(self.law, μ=self.friction_coefficient, noise=self._slip_noise)
             self._doubt(self.law.μ)
         self._leave_out_redundant(self._converged.nodes, self._converged.place)
         self._hold_flat()

@@ -88,8 +88,7 @@ class Kinematics(ABC):
     Attributes:
         x: (n, gdim) contactor points now (m); at: what they face; s: (n, gdim) slip increment (m), None without friction.
         may_close: (n,) points that contact may take part in at all.
-        reach: as above; round_off: of gaps and slips, which are differences of positions (m).
-        touch: gaps below count as none (m).
+        reach: as above.
         history: (n,) the target's points Y_{n−1} that the slip is counted from.
         ρ: (n, gdim) 𝐱 − φ₂(Y_{n−1}) of step n − 1 in the target's frame there (`carried.py`), 0 where it is not needed.
         offset: (n,) depth from which the law counts a point's penetration (m): that at which a time step brought it into
@@ -108,8 +107,7 @@ class Kinematics(ABC):
         self, points: IntegrationPoints, u: fem.Function, target: Target, friction: bool, reach: float
     ) -> None:
         self.points, self.target, self.friction, self.reach = points, target, friction, reach
-        self.round_off = ROUND_OFF * reach
-        self.touch = max(1e-12 * target.size, self.round_off)
+        self._reach_at_start = reach
         self._u = u
         self.offset: Array = np.zeros(points.size)
         self.share: Array = np.ones(points.size)
@@ -117,6 +115,21 @@ class Kinematics(ABC):
         self.history = TargetPoint(np.zeros(points.size, dtype=np.int64), np.zeros((points.size, points.η.shape[1])))
         self.ρ: Array = np.zeros((points.size, points.facets.X.shape[2]))
         self.last = LastStep.none(points, self.history, self.ρ)
+
+    def reach_on(self, way: float) -> None:
+        """Points may be `way` (m) from their reference positions from now on: bodies fly far, and round-off grows."""
+        start = self._reach_at_start
+        self.reach = start if way <= start else start + way
+
+    @property
+    def round_off(self) -> float:
+        """Of gaps and slips, which are differences of positions (m)."""
+        return ROUND_OFF * self.reach
+
+    @property
+    def touch(self) -> float:
+        """Gaps below count as none (m)."""
+        return max(1e-12 * self.target.size, self.round_off)
 
     # ---------------------------------------------------------------- where the contactor is
 

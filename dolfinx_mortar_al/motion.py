@@ -99,6 +99,15 @@ class Motion:
         self._energies = self.energy_forms()
         self._momenta = self._momentum_forms()
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Forms hold the Functions of a motion: another in the place of one would be known to the ledger alone."""
+        if name in ("u", "old", "velocity") and name in self.__dict__:
+            raise AttributeError(
+                f"{name}: the step's form holds this Function; write into it, motion.{name}.interpolate(…) or "
+                f"motion.{name}.x.array[:] = …"
+            )
+        super().__setattr__(name, value)
+
     @property
     def time_step(self) -> fem.Constant:
         """Δt (s) of the next step; a number may be assigned between marches, which becomes the Constant's value."""

@@ -556,7 +556,7 @@ class NewtonSolver:
         p = self.problem
         parts = [str(node) for pair in p.pairs if (node := pair.pushed_node()) is not None]
         off = self.snes.getFunction()[0].getNestSubVecs()[0]
-        if p.floating and not p.motions and (loose := p.unheld(off)):  # inertia holds what moves
+        if p.floating and (loose := p.unheld(off)):
             rub = "" if all(pair.friction > 0 for pair in p.pairs) else "add friction, "
             parts.append(
                 f"{' and '.join(loose)}: if it may slide, roll off or topple, or a load pulls it away (its sign?), "

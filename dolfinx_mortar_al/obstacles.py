@@ -152,6 +152,17 @@ class Obstacle(ABC):
             self.pivot + self._pose.translation + (x - self.pivot - before.translation) @ self.swing(before).T
         )
 
+    def sweep(self, y: Array, before: Pose) -> Array:
+        """(n, gdim) how far its material points at 𝐲 (n, gdim) would go on (m) in as much time as it took from another pose
+        to the present one, at a constant rate and by less than half a turn: their velocities, not the chords of their ways,
+        which leave the surface of what turns in itself."""
+        S, d = self._pose.rotation @ before.rotation.T, self.gdim
+        spin = (S - S.T) / 2  # the axis times the sine
+        sine, cosine = np.linalg.norm(spin) / np.sqrt(2), (np.trace(S) - d + 2) / 2
+        turn = spin * (np.arctan2(sine, cosine) / sine if sine > 0.0 else 1.0)
+        present = self._pose.translation
+        return np.asarray(present - before.translation + (y - self.pivot - present) @ turn.T)
+
     def project(self, x: Array) -> ClosestPoint:
         """The closest-point map of 𝐱 (n, gdim); its `point.η` (n, gdim) is the closest point's initial position Y."""
         Q, present = self._pose.rotation, self.pivot + self._pose.translation

@@ -22,7 +22,7 @@ from dolfinx_mortar_al.contactor_functions import ContactorFunctions
 from dolfinx_mortar_al.picture import picture
 from dolfinx_mortar_al.problem import ContactProblem, check_problem
 from dolfinx_mortar_al.ranks import agreed, on_root, together
-from dolfinx_mortar_al.validation import check_columns, number, path_of, vector
+from dolfinx_mortar_al.validation import check_columns, make_folder, number, path_of, vector
 
 __all__ = ["History", "ParaView", "Probe", "Run", "deformed_cells", "extent", "picture", "summary"]
 
@@ -58,7 +58,7 @@ class History:
 
     def _open(self, resume: float | None) -> list[dict[str, float]]:
         """Start the file with the rows to keep."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder("directory", self.path.parent)
         rows = [] if resume is None else self._rows_until(resume)
         with _replaced(self.path) as file:
             csv.writer(file).writerow(self.columns)
@@ -196,7 +196,7 @@ class ParaView:
         check_problem(problem)
         folder, self._comm = path_of("directory", directory), problem.comm
         later = "" if not resume else f"_from_{resume:.6g}"
-        on_root(problem.comm, lambda: folder.mkdir(parents=True, exist_ok=True))
+        on_root(problem.comm, lambda: make_folder("directory", folder))
         self.problem = problem
         self._contactors = [ContactorFunctions(pair) for pair in problem.pairs]
         bodies = problem.bodies.bodies

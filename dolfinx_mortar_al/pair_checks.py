@@ -11,7 +11,7 @@ from dolfinx_mortar_al.contact import Contact
 from dolfinx_mortar_al.kinematics import Kinematics
 from dolfinx_mortar_al.pieces import seen_by_any
 from dolfinx_mortar_al.reductions import max_over, min_over, sum_over
-from dolfinx_mortar_al.surface import Facets, GatheredFacets
+from dolfinx_mortar_al.surface import Facets, GatheredFacets, Surface
 from dolfinx_mortar_al.targets import DeformableTarget, RigidTarget, Target
 
 __all__ = ["check_apart", "check_behind", "check_sides", "check_single", "depth_behind"]
@@ -90,9 +90,12 @@ def check_behind(name: str, contact: Contact, facets: Facets, target: Target, bo
     least = min_over(comm, float(depth.min(initial=np.inf)))
     deepest = max_over(comm, float(depth.max(initial=-np.inf)))
     if least >= -touch and deepest > (target.size if contact.contactor.is_membrane else touch):
+        way = "move it to the other side, or turn the target's normal round"
+        if isinstance(contact.target, Surface) and contact.target.mesh is contact.contactor.mesh:
+            way += "; two sides of a body that touches itself are named as one surface, Contact(Surface(mesh, tags, [a, b]))"
         raise ValueError(
             f"{name}: the contactor (tag {contact.contactor.tag}) lies with its whole body behind the target "
-            f"({contact.target_name}): move it to the other side, or turn the target's normal round"
+            f"({contact.target_name}): {way}"
         )
 
 

@@ -107,7 +107,12 @@ class PairFirmness(PairFindings):
         self._same_ε = self.augmentation.is_uniform or not self.friction
         self.law: Frictionless | Coulomb = Frictionless(ε)
         if self.friction:
-            self.law = Coulomb(ε, self.friction_coefficient, noise=ε.tangential * self.kinematics.round_off)
+            self.law = Coulomb(ε, self.friction_coefficient, noise=self._slip_noise)
+
+    @property
+    def _slip_noise(self) -> float:
+        """What ε makes of the round-off of slips (Pa)."""
+        return self.epsilon.tangential * self.kinematics.round_off
 
     @property
     def friction_coefficient(self) -> float:

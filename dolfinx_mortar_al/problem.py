@@ -115,6 +115,7 @@ class ContactProblem(ProblemTies):
             self.bodies = Bodies(residuals, listed("u", u, fem.Function, "a Function"), bcs, jacobians, foreseen)
         for body, forms in zip(said, self.bodies.bodies, strict=False):
             forms.sheets = body.sheets if isinstance(body, Body) else []
+            forms.has_inertia = isinstance(body, Motion)
         self.comm, self.gdim = self.bodies.comm, self.bodies.gdim
         agreed(self.comm, "contacts: how many", len(contacts))
         Given(self.comm, self.bodies.bodies).check()
@@ -173,7 +174,8 @@ class ContactProblem(ProblemTies):
         self.force_scale: Array = np.zeros(self.bodies.pieces)
         #: size of forces that a step of bodies in motion resolves, on all pieces (N); None in statics
         self.force_reference: float | None = None
-        self.gap_floor = [max(2e-15 * diameter, pair.kinematics.round_off) * pair.area for pair in self.pairs]
+        self._travel: Array = np.ones(self.bodies.pieces)
+        self._least_gap = 2e-15 * diameter  # (m)
 
     def pair(self, name: str) -> ContactPair:
         """The pair of a name.
@@ -196,6 +198,11 @@ class ContactProblem(ProblemTies):
             touched[pair.nodal_values(number).astype(int).ravel()] = 1
         self.comm.Allreduce(MPI.IN_PLACE, touched, MPI.MAX)
         return np.asarray(touched > 0)
+
+    @property
+    def gap_floor(self) -> list[float]:
+        """Round-off of the gaps of each pair, over its area (m³)."""
+        return [max(self._least_gap, pair.kinematics.round_off) * pair.area for pair in self.pairs]
 
     def residual_ratios(self, f: Sequence[PETSc.Vec], rtol: float, corrected: bool) -> list[float]:
         """Norm of each block of the residual over that below which it counts as converged: forces against those on the same
@@ -539,8 +546,10 @@ class ContactProblem(ProblemTies):
         if not self.motions:  # time steps need one space of multipliers, and one ε
             self.stiffness.follow()
             self._shared_nodes.leave_out(everywhere=False)
+        ways = self.bodies.ways()
+        self._travel = np.maximum(ways / self.stiffness.diameters, 1.0)
         for pair in self.pairs:
-            pair.begin()
+            pair.begin(float(ways.max()))
 
     def unsupported(self) -> bool:
         """Whether some piece may float while some pair is open all over (collective)."""

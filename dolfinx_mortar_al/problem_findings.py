@@ -67,6 +67,8 @@ class ProblemFindings:
     _touched: list[NDArray[np.bool_]]
     _contact_motions: ContactMotions
     stiffness: BulkStiffness
+    #: (pieces,) how many diameters each was from its reference position at the start of the solve, 1 at least
+    _travel: Array
 
     @property
     def is_at_start(self) -> bool:
@@ -75,8 +77,9 @@ class ProblemFindings:
 
     @property
     def force_floor(self) -> Array:
-        """(pieces,) round-off in the bulk's forces on each (N)."""
-        return ROUND_OFF * self.stiffness.firmness
+        """(pieces,) round-off in the bulk's forces on each (N): strains are differences of displacements, which may be many
+        times its diameter."""
+        return ROUND_OFF * self.stiffness.firmness * self._travel
 
     @property
     def floating(self) -> list[Piece]:

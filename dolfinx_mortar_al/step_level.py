@@ -84,7 +84,7 @@ class StepLevel(Kinematics):
     """
 
     def __init__(self, before: Kinematics) -> None:
-        super().__init__(before.points, before._u, before.target, before.friction, before.reach)
+        super().__init__(before.points, before._u, before.target, before.friction, before._reach_at_start)
         self.x, self.at, self.s, self.may_close = before.x, before.at, before.s, before.may_close
         self.offset, self.unspent = before.offset, before.unspent
         self.set_history(before.history)
@@ -343,7 +343,8 @@ class StepLevel(Kinematics):
             B[:, 2:, :k1] = self.points.dN[act]
         swept: Array = np.zeros((len(act), d))
         if self.target.is_rigid:
-            swept = end.y - self.target.positions(end.point, end.N, self._place0)
+            assert isinstance(self.target, RigidTarget) and isinstance(self._place0, Pose)
+            swept = self.target.obstacle.sweep(end.y, self._place0)
         part = -vary_gap(end, slots, "w")
         if not self.friction:
             one, none = part[:, None], np.zeros((len(act), 1, 1))

@@ -46,6 +46,7 @@ __all__ = [
     "is_ufl",
     "joint_thickness",
     "listed",
+    "make_folder",
     "number",
     "numbers",
     "path_of",
@@ -245,6 +246,20 @@ def path_of(name: str, value: Any) -> Path:
     if not isinstance(value, str | os.PathLike):
         raise ValueError(f"{name}: {type(value).__name__} is no path; pass a text or a Path")
     return Path(value)
+
+
+def make_folder(name: str, folder: Path) -> None:
+    """Make the folder that an argument names, if it is missing.
+
+    Raises:
+        OSError: if it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(
+            error.errno, f"{name} = {folder}: no such folder can be made ({error.strerror}); pass one to write in"
+        ) from error
 
 
 def check_columns(columns: Any) -> list[str]:

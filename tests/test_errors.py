@@ -733,13 +733,15 @@ def test_a_history_resumed(shared_path, up):
 
 
 def test_a_folder_that_cannot_be_made(shared_path):
+    """A file in its place, or above it: the argument and the way out are named, whoever writes."""
     problem, _ = beams(order=1)
     if problem.comm.rank == 0:
         (shared_path / "file").write_text("not a folder")
     problem.comm.Barrier()
-    for make in (lambda f: output.History(problem, f, ["load"]), lambda f: Checkpoint(f, problem)):
-        with pytest.raises(OSError, match="file"):
-            make(shared_path / "file")
+    for folder in (shared_path / "file", shared_path / "file" / "results"):
+        for make in (lambda f: output.History(problem, f, ["load"]), lambda f: Checkpoint(f, problem)):
+            with pytest.raises(OSError, match=r"directory = .*file.*pass one to write in"):
+                make(folder)
 
 
 @pytest.mark.one_rank
@@ -1114,3 +1116,15 @@ def test_a_tag_that_marks_nothing_is_refused(where):
     }
     with pytest.raises(ValueError, match="no node" if where == "condition" else "the tag 7, which marks nothing"):
         build[where]()
+
+
+def test_two_sides_of_one_body_are_one_surface():
+    """A strip's lower side against its upper one, as if it were to be wound: the strip lies behind its own upper side."""
+    strip = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (1, 0.1)], [10, 1])
+    sides = [mesh.locate_entities_boundary(strip, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (0.0, 0.1)]
+    facets = np.sort(np.concatenate(sides))
+    tags = mesh.meshtags(strip, 1, facets, np.isin(facets, sides[1]).astype(np.int32))
+    contact = Contact(Surface(strip, tags, 0), Surface(strip, tags, 1))
+    u = fem.Function(fem.functionspace(strip, ("Lagrange", 1, (2,))))
+    with pytest.raises(ValueError, match="named as one surface"):
+        ContactProblem(Body(u, materials.neo_hookean(1e6, 0.3)), contacts=[contact])

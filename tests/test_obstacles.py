@@ -131,6 +131,24 @@ def test_material_point_is_carried_by_the_motion(name, pose):
     assert np.allclose(initial.point.η, at.point.η, atol=1e-14)
 
 
+@pytest.mark.parametrize("turned", [0.0, 1e-7, 1.0, 3.0])
+@pytest.mark.parametrize("name", OBSTACLES)
+def test_sweep_is_the_velocity_at_the_end_of_a_uniform_motion(name, turned):
+    """Against central differences about the end of a motion from the initial pose at a constant rate; rad."""
+    obstacle = OBSTACLES[name]()
+    way = np.array([0.5, -0.3, 0.7])[: obstacle.gdim]
+    axis = np.array([1.0, -2.0, 2.0]) / 3
+    Y, h = points_around(obstacle), 1e-6
+
+    def at(t):
+        obstacle.move(t * way, t * turned if obstacle.gdim == 2 else t * turned * axis)
+        return obstacle.positions(Y)
+
+    difference = (at(1 + h) - at(1 - h)) / (2 * h)
+    y = at(1.0)
+    assert np.allclose(obstacle.sweep(y, Pose.initial(obstacle.gdim)), difference, rtol=0, atol=1e-8)
+
+
 def test_gap_is_positive_in_penetration():
     down, up = np.array([[0.0, -0.1]]), np.array([[0.0, 0.1]])
     ground = RigidPlane([3.0, 0.0], [0.0, 5.0])
