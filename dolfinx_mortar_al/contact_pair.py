@@ -7,7 +7,7 @@ each in a module of its own: points (`integration`), their kinematics (`kinemati
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 from dolfinx import fem
@@ -638,12 +638,11 @@ class ContactPair(PairFirmness):
         if isinstance(before.place, np.ndarray):
             arrays["target"] = before.place.copy()
         else:
-            arrays |= {"translation_before": before.place.translation, "rotation_before": before.place.rotation}
+            arrays |= {f"{name}_before": value for name, value in vars(before.place).items()}
         if isinstance(self.target, SelfTarget):
             arrays["role"] = self.target.role.copy()
         if isinstance(self.target, RigidTarget):
-            pose = self.target.obstacle.pose
-            arrays |= {"translation": pose.translation, "rotation": pose.rotation}
+            arrays |= vars(self.target.obstacle.pose)
         return arrays
 
     def restore(self, saved: dict[str, Array]) -> None:
@@ -653,8 +652,8 @@ class ContactPair(PairFirmness):
         if isinstance(self.target, SelfTarget):
             self.target.role = saved["role"].astype(np.int64)
         if isinstance(self.target, RigidTarget):
-            self.target.obstacle.pose = Pose(saved["translation"], saved["rotation"])
-            place: Place = Pose(saved["translation_before"], saved["rotation_before"])
+            self.target.obstacle.pose = Pose(*(saved[part.name] for part in fields(Pose)))
+            place: Place = Pose(*(saved[f"{part.name}_before"] for part in fields(Pose)))
         else:
             place = saved["target"].copy()
         was = (saved[name].astype(bool) for name in ("closed", "faced"))

@@ -8,7 +8,7 @@ its initial position Y; at present it is at pivot + Q (Y − pivot) + translatio
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -28,15 +28,17 @@ NO_DIRECTION = 1e-12  # distance to a centre or axis, in radii, below which no c
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a rigid obstacle is: translation (gdim,) in metres and rotation matrix Q (gdim, gdim)."""
+    """Where a rigid obstacle is: translation (gdim,) in metres and rotation matrix Q (gdim, gdim); and by what angle, or
+    rotation vector, it was said to have turned (rad), which tells whole turns, NaN where that is not known."""
 
     translation: Array
     rotation: Array
+    turned: Array = field(default_factory=lambda: np.full(1, np.nan))
 
     @classmethod
     def initial(cls, gdim: int) -> Pose:
         """No motion."""
-        return cls(np.zeros(gdim), np.eye(gdim))
+        return cls(np.zeros(gdim), np.eye(gdim), np.zeros(2 * gdim - 3))
 
     def __eq__(self, other: object) -> bool:
         return (
@@ -46,7 +48,7 @@ class Pose:
         )
 
     def copy(self) -> Pose:
-        return Pose(np.array(self.translation, dtype=np.float64), np.array(self.rotation, dtype=np.float64))
+        return Pose(*(np.array(part, dtype=np.float64) for part in (self.translation, self.rotation, self.turned)))
 
 
 @dataclass(frozen=True)
@@ -116,8 +118,9 @@ class Obstacle(ABC):
     def pose(self, pose: Pose) -> None:
         if not isinstance(pose, Pose):
             raise ValueError(f"pose: {type(pose).__name__} is not a Pose; move() makes one")
-        new = Pose(_vector("translation", pose.translation, self.gdim), np.array(pose.rotation, dtype=np.float64))
-        Q, eye = new.rotation, np.eye(self.gdim)
+        Q, turned = (np.array(part, dtype=np.float64) for part in (pose.rotation, pose.turned))
+        new = Pose(_vector("translation", pose.translation, self.gdim), Q, turned)
+        eye = np.eye(self.gdim)
         if Q.shape != eye.shape or not np.allclose(Q.T @ Q, eye, atol=1e-9) or np.linalg.det(Q) < 0:
             raise ValueError(
                 f"rotation = {Q.tolist()}: needs an orthogonal {self.gdim}×{self.gdim} matrix of determinant 1; "
@@ -135,7 +138,10 @@ class Obstacle(ABC):
         Raises:
             ValueError: if one of them has another number of components or is not finite.
         """
-        self.pose = Pose(_vector("translation", translation, self.gdim), _rotation_matrix(rotation, self.gdim))
+        turned = numbers(np.zeros(2 * self.gdim - 3) if rotation is None else rotation)
+        self.pose = Pose(
+            _vector("translation", translation, self.gdim), _rotation_matrix(rotation, self.gdim), turned.ravel()
+        )
 
     def positions(self, Y: Array, pose: Pose | None = None) -> Array:
         """Positions (n, gdim), at present or in another pose, of the material points with initial positions Y (n, gdim)."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dolfinx_mortar_al.blocks import Blocks
 from dolfinx_mortar_al.law import OPEN, SLIP
 from dolfinx_mortar_al.monitors import Finding
+from dolfinx_mortar_al.obstacles import Pose
 from dolfinx_mortar_al.prescribed import PrescribedNodes
 from dolfinx_mortar_al.projection import dot
 from dolfinx_mortar_al.rays import OPPOSED
@@ -18,7 +19,8 @@ from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.results import PairResults
 from dolfinx_mortar_al.smoothing import ALIKE
 from dolfinx_mortar_al.surface import GatheredFacets, surface_normal
-from dolfinx_mortar_al.targets import DeformableTarget
+from dolfinx_mortar_al.targets import DeformableTarget, RigidTarget
+from dolfinx_mortar_al.unfelt import Converged
 
 __all__ = ["PUSHED", "PairFindings"]
 
@@ -96,6 +98,12 @@ AT_START = (
 SHARE = 0.01  # of a target facet: overlaps below it are those of facets that do not match on curved surfaces
 
 
+FAR_TURN = 1.6  # rad, a little more than a quarter of a turn: from here on a chord is a tenth shorter than its arc
+FAR = (
+    "friction goes by where the obstacle's points were before and are now, the shorter way round: it is turned round from π "
+    "on, and none at whole turns; take smaller increments, and let the angle go on beyond 2π"
+)
+
 APART = (
     "nothing has been in contact in the whole march: do the bodies start as close, and move as far, as was meant, in the "
     "units of the mesh, and are these the surfaces that meet?"
@@ -110,6 +118,9 @@ class PairFindings(PairResults):
     _prescribed_facets: NDArray[np.bool_]
     _firmness: float  # what is added to ε lest surfaces ripple (Pa/m)
     _prescribed_nodes: PrescribedNodes
+    #: whether there is friction, or may be
+    friction: bool
+    _converged: Converged
     blocks: Blocks
     #: the whole contactor, and (nf,) which of its facets this rank has
     _contactor: GatheredFacets
@@ -148,6 +159,18 @@ class PairFindings(PairResults):
             if ratio < ALIKE
             else None
         )
+
+    def far_turn(self) -> Finding | None:
+        """Whether an obstacle that a body rubs on was turned so far in this step that friction does not know its way
+        (collective)."""
+        if not self.friction or not isinstance(self.target, RigidTarget):
+            return None
+        before, now = self._converged.place, self.target.place
+        assert isinstance(before, Pose) and isinstance(now, Pose)
+        turn = float(np.linalg.norm(now.turned - before.turned))
+        if not turn > FAR_TURN or self.closed_fraction() == 0.0:
+            return None
+        return Finding(f"{self.name}: turn of the obstacle in this step (rad)", turn, (), FAR, False)
 
     def _varies_within(self) -> tuple[float, float]:
         """By how much pressure is off its mean on the facet (N), on this rank's altogether, and the force (N)."""

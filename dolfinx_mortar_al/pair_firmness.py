@@ -39,8 +39,6 @@ class PairFirmness(PairFindings):
     facets: Facets
     #: Gauss points of whole facets
     gauss: IntegrationPoints
-    #: whether there is friction, or may be
-    friction: bool
     active: ActiveSet
     multiplier_order: int
     _body1: BodyForms

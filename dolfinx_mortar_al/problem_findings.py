@@ -101,6 +101,7 @@ class ProblemFindings:
                 pair.prescribed_overlap() or pair.pushed_node(),
                 pair.coarse_integration(),
                 pair.fine_multiplier(),
+                pair.far_turn(),
             ]
             looks += [*pair.unfelt(), *pair.far_augmentation(), pair.turned_force()]
             looks += [pair.dipping_friction(pair.friction_coefficient)]

@@ -106,6 +106,17 @@ def test_a_roller_may_turn_by_any_angle_in_a_step(dim):
     assert problem.pairs[0].force()[0] > 0.2 * abs(problem.pairs[0].force()[1])
 
 
+@pytest.mark.parametrize("turn, said", [(1.5, False), (4.0, True), (2 * np.pi, True)])
+def test_a_turn_that_friction_does_not_follow_is_said(turn, said):
+    """Of 4 rad in an increment it sees 2.3 the other way round, of a whole turn nothing."""
+    circle = obstacles.RigidSphere([0.0, 0.3], 0.3)
+    problem = block(circle, friction=0.3)
+    pressed = quasistatic.march(problem, lambda t: circle.move([0.0, -0.03 * t]), to=1.0, increments=2)
+    assert not any(step.findings for step in pressed)
+    (step,) = quasistatic.march(problem, lambda t: circle.move([0.0, -0.03], t * turn), to=1.0, increments=1)
+    assert [finding.value for finding in step.findings if "turn of" in finding.name] == [turn] * said
+
+
 def test_hertz():
     """A circle on a large block: p₀ = √(F E*/(πR)), E* = E/(1 − ν²); 3 % for the finite block and mesh."""
     circle = obstacles.RigidSphere([0.0, 5.0], 5.0)
