@@ -133,7 +133,8 @@ class Obstacle(ABC):
 
         Args:
             translation: (gdim,) from the initial position (m).
-            rotation: from the initial position about the pivot: an angle (2D), a rotation vector (3D), in rad, or None.
+            rotation: from the initial position about the pivot: an angle (2D), a rotation vector (3D), in rad, or None. It
+                goes on beyond whole turns, by less than half of one in a step where there is friction.
 
         Raises:
             ValueError: if one of them has another number of components or is not finite.
