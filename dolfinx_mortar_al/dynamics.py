@@ -230,6 +230,7 @@ class _TimeControl(Controller[Step]):
         now = self._with_state(Ledger(0.0, 0.0) if self._given is None else self._given)
         self.ledger = now if self._given is None else self._given
         self._drift = DriftMonitor(self.problem, now)
+        self._told += self._drift.foresee(self._way.longest)
 
     def _admitted(self) -> list[Finding]:
         """Move bodies that touch apart as far as they overlap; what there is to be said of it (collective)."""
