@@ -173,9 +173,10 @@ class ActiveSet:
         self.closed = kinematics.may_close & (λN_hat >= -εN * kinematics.touch)
 
     def at_odds(self, state: LawState, kinematics: Kinematics, εN: float) -> Array:
-        """(n,) |λ̂_N| (Pa) where a point is closed against λ̂_N < 0 or open against λ̂_N > 0, less what round-off explains."""
-        λ = np.where(kinematics.may_close & ~self._left, state.λN_hat, 0.0)
-        return np.maximum(np.where(self.closed, -λ, λ) - εN * kinematics.touch, 0.0)
+        """(n,) |λ̂_N| (Pa) where a point is closed against λ̂_N < 0 or open against λ̂_N > 0, less what :meth:`decide` takes for
+        round-off where gaps are met."""
+        λ, round_off = np.where(kinematics.may_close & ~self._left, state.λN_hat, 0.0), εN * kinematics.touch
+        return np.maximum(np.where(self.closed, -λ - round_off, λ - CLOSES * round_off), 0.0)
 
     def snapshot(self) -> Decided:
         """What :meth:`decide` and :meth:`hold_turned` may change."""

@@ -331,6 +331,16 @@ class Bodies:
             np.fmax.at(largest, np.repeat(body.piece + first, self.gdim), diagonal.x.array)
         return max_over(self.comm, largest)
 
+    def centre(self, piece: int) -> Array:
+        """(gdim,) mean reference position of a piece's nodes (m), collective."""
+        sums = np.zeros(self.gdim + 1)
+        for body, first in zip(self.bodies, self.first_piece, strict=True):
+            X = body.space.tabulate_dof_coordinates()[: body.owned, : self.gdim]
+            X = X[body.piece[: body.owned] + first == piece]
+            sums += np.append(X.sum(axis=0), len(X))
+        sums = np.asarray(sum_over(self.comm, sums))
+        return np.asarray(sums[:-1] / sums[-1])
+
     def diameters(self) -> Array:
         """(pieces,) diagonal of each piece's bounding box (m), collective."""
         size = np.zeros((self.pieces, self.gdim))

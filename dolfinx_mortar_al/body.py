@@ -71,7 +71,7 @@ class Body:
     :class:`~dolfinx_mortar_al.motion.Motion`. Bodies of one mesh with one displacement are one Body.
 
     Args:
-        u: displacement (m); holds the start state.
+        u: displacement (m); holds the start state, which may be set until a march begins.
         material: what its internal forces come from, on all cells: a law, of a body or a membrane, or a UFL form of an
             internal virtual work G(u; w); or a list of (law or form, measure of its cells); a form is over these cells.
         density: ρ per reference volume (kg/m³), needed in motion; a list, if each part of a list of materials has its own.

@@ -50,6 +50,7 @@ Decisions = tuple[IntegrationPoints, Decided]
 AGAIN = 2  # times that points follow the target's end, or nodes are chosen anew, when a state has converged
 ROUGHEST = 5.0  # a friction coefficient beyond that of rubber: on a plane that rises by 79° nothing would slide
 NEAR = 2.0  # of the target's facets: gaps that may close in a step
+ELSEWHERE = 1e-9  # of them: nodes that were put elsewhere have gone farther, and round-off has not
 
 
 class ContactPair(PairFirmness):
@@ -248,8 +249,16 @@ class ContactPair(PairFirmness):
             )
         self._doubted |= μ > ROUGHEST
 
+    def is_elsewhere(self) -> bool:
+        """Whether nodes on this rank have been put elsewhere since the last converged state."""
+        before, place = self._converged, self.target.place
+        ways = [self.kinematics.nodes() - before.nodes]
+        if isinstance(place, np.ndarray) and isinstance(before.place, np.ndarray):
+            ways.append(place - before.place)
+        return any(bool((np.abs(way) > ELSEWHERE * self.target.size).any()) for way in ways)
+
     def start(self) -> None:
-        """Project for the first time; slip is counted from the present state. Points that touch count as closed.
+        """Project for the first time, or anew; slip is counted from the present state. Points that touch count as closed.
 
         Raises:
             ValueError: on every rank, if contactor and target face the same way all over: one is the wrong side.

@@ -35,7 +35,14 @@ LOSS = 0.1
 # 1 ms has 1e-8, and 1e12 times as much where its density is said in t/mm³
 DROWNED = 1e-3
 
-UNBOOKED = "the ledger has no source of it: does a load act that the Motion does not know (external=)?"
+UNBOOKED = (
+    "the ledger has no source of it: does a load act that the Motion does not know (external=), or have moduli, density or "
+    "thickness been changed?"
+)
+MISSING = (
+    "it has gone where the ledger does not look: have moduli, density or thickness been changed, or does a load act that the "
+    "Motion does not know (external=)?"
+)
 OF_THE_SCHEME = (
     'forces weighted over the step (force="trapezoidal", or a form with theta > 1/2) do not keep energy: take shorter steps, '
     'or a law with force="consistent"; or a load acts that the Motion does not know (external=)'
@@ -57,7 +64,7 @@ DEEP = "a closed point lies deep behind the target's surface: take shorter steps
 
 
 class DriftMonitor:
-    """Energy beyond that of the start and the work done, losses in single impacts, momenta of free bodies, penetration,
+    """Energy that is not that of the start and the work done, losses in single impacts, momenta of free bodies, penetration,
     prescribed velocities that swing; before the first step inertia that is lost in round-off.
 
     Energy is not looked at while prescribed displacements move, whose work the ledger does not have; momenta where nothing
@@ -79,6 +86,7 @@ class DriftMonitor:
             p.target.is_rigid for p in problem.pairs
         )
         self._free = ~held & (not loaded)
+        self._is_weighted = any(motion.has_weighted_forces for motion in problem.motions)
         reach = [np.abs(body.mesh.geometry.x).max(initial=0.0) for body in problem.bodies.bodies]
         self._reach = max_over(comm, float(max(reach)))
         self._round_off = STORED * float(problem.force_floor.sum()) * problem.bodies.diameter()  # (J)
@@ -106,13 +114,15 @@ class DriftMonitor:
     def look(self, ledger: Ledger, depths: Sequence[float]) -> list[Finding]:
         """What has drifted; `depths` is the penetration of each pair (m) (collective)."""
         start = self._start
-        put_in = start.total + abs(ledger.external_work - start.external_work)
-        self._energy = energy = max(self._energy, put_in, ledger.total)  # its round-off stays where it goes again
+        put_in = start.size + abs(ledger.external_work - start.external_work)
+        self._energy = energy = max(self._energy, put_in, ledger.size)  # its round-off stays where it goes again
         found = []
         gain = ledger.energy_defect - start.energy_defect
-        if gain > SHARE * energy + self._round_off and not self._is_driven():
-            weighted = any(motion.has_weighted_forces for motion in self._motions)
-            found.append(("energy gained (J)", gain, OF_THE_SCHEME if weighted else UNBOOKED))
+        if abs(gain) > SHARE * energy + self._round_off and not self._is_driven():
+            if gain > 0:
+                found.append(("energy gained (J)", gain, OF_THE_SCHEME if self._is_weighted else UNBOOKED))
+            elif not self._is_weighted and all(motion.theta == 0.5 for motion in self._motions):
+                found.append(("energy lost (J)", -gain, MISSING))
         lost, put_in = ledger.impact_loss - self._last.impact_loss, ledger.received - self._last.received
         self._last = ledger
         if lost - max(put_in, 0.0) > LOSS * energy + self._round_off:

@@ -36,9 +36,8 @@ Array = NDArray[np.float64]
 
 LONG = 1e6  # of a step: in so long a time inertia is nothing
 RTOL = 1e-11  # of Newton: what is left over shows up in the ledger
-GAIN = (
-    1e-8  # of the total energy that contact may give in a step: what Newton's tolerance leaves, a thousand times over
-)
+# of what energies amount to that contact may give in a step: what Newton's tolerance leaves, a thousand times over
+GAIN = 1e-8
 COPIES = (
     "they are kept as the displacement of the last step, and rates made of them count by θ only: pass Motion(old=…)"
 )
@@ -383,7 +382,7 @@ class _TimeControl(Controller[Step]):
         """What is wrong with a converged state: fatal findings, energy from contact, points that have passed through."""
         self._work = self._contact_work()
         reasons = [str(f) for f in findings if f.fatal]
-        allowed = GAIN * max(self.ledger.total + self.ledger.impact_loss + self.ledger.friction_dissipation, 0.0)
+        allowed = GAIN * (self.ledger.size + self.ledger.impact_loss + abs(self.ledger.friction_dissipation))
         gain = self._work.gain
         if gain > allowed + sum(pair.round_off_energy() for pair in self.problem.pairs):
             reasons.append(f"contact would give {gain:.3g} J to the bodies in this step; take a smaller one")

@@ -36,6 +36,12 @@ class Ledger:
         return self.kinetic + self.strain + self.contact
 
     @property
+    def size(self) -> float:
+        """What the energies of the moment amount to, whatever their signs (J): what a form has done since the start may be
+        less than nothing, as that of a weight in it."""
+        return abs(self.kinetic) + abs(self.strain) + abs(self.contact)
+
+    @property
     def received(self) -> float:
         """Energy of the moment and all that has been lost: what has come in, from wherever (J)."""
         return self.total + self.friction_dissipation + self.impact_loss

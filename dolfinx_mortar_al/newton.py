@@ -530,7 +530,9 @@ class NewtonSolver:
         far = sorted((-v, n) for n, v in zip(names, last, strict=True) if v > 1)
         open_blocks = ", ".join(f"{n} at {-v:.1e} of its tolerance" for v, n in far[:NAMED])
         open_blocks += f" and {len(far) - NAMED} more" if len(far) > NAMED else ""
-        open_blocks = open_blocks or "forces and gaps are right, but what sticks or is tied does not come to rest"
+        if not open_blocks:
+            rest = "what sticks or is tied does" if self._obeys_law() else "points that open and close do"
+            open_blocks = f"forces and gaps are right, but {rest} not come to rest"
         known = {
             _Reason.DIVERGED_MAX_IT: "no convergence",
             _Reason.DIVERGED_LINEAR_SOLVE: "the linear solve failed",

@@ -291,23 +291,25 @@ class PairFindings(PairResults):
     def _share_off_normal(
         self, counts: Callable[[Index, Index, Array], NDArray[np.bool_]]
     ) -> tuple[float, tuple[float, ...]]:
-        """The largest mean over a connected zone of p (ν − ν₂) over that of p, ν₂ the target's normal, and the middle of that
-        zone; of facets of the contactor and the target's that they face (n,), and the cosine between both normals (n,),
-        `counts` says which do (collective)."""
+        """The largest mean over a connected zone of p (ν − ν₂) over that of p, ν₂ the target's normal, across the zone's mean
+        ν₂, along which the sides of a symmetric zone leave what is no friction, and the middle of that zone; of facets of the
+        contactor and the target's that they face (n,), and the cosine between both normals (n,), `counts` says which do
+        (collective)."""
         closed = np.flatnonzero(self.state.status != OPEN)
         at, own = self.at.take(closed), self._own[self.integration.facet[closed]]
         normal = surface_normal(at.a)
         normal /= (np.sqrt(dot(normal, normal)) * np.where(dot(normal, at.ν) < 0, -1.0, 1.0))[:, None]
         pressed, zone = self.j[closed] * self.state.p[closed], self._contactor.zones(self._touched())
         off = (pressed * counts(own, at.point.facet, dot(normal, at.ν)))[:, None] * (at.ν - normal)
-        parts = np.column_stack([off, pressed[:, None] * self.points()[closed], pressed])
+        parts = np.column_stack([off, pressed[:, None] * normal, pressed[:, None] * self.points()[closed], pressed])
         sums = np.zeros((zone.max(initial=-1) + 1, parts.shape[1]))
         np.add.at(sums, zone[own], parts)
         sums = sum_over(self.comm, sums)
         sums = sums[sums[:, -1] > TURNED * sums[:, -1].sum()]  # errors of the others are below what is said of one zone
         if not len(sums):
             return 0.0, ()
-        off, middles = np.split(sums[:, :-1] / sums[:, -1:], 2, axis=1)
+        off, normals, middles = np.split(sums[:, :-1] / sums[:, -1:], 3, axis=1)
+        off -= (dot(off, normals) / np.maximum(dot(normals, normals), 1e-300))[:, None] * normals
         shares = np.linalg.norm(off, axis=1)
         worst = int(shares.argmax())
         return float(shares[worst]), tuple(middles[worst].tolist())

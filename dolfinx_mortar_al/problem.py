@@ -119,10 +119,7 @@ class ContactProblem(ProblemTies):
         self.comm, self.gdim = self.bodies.comm, self.bodies.gdim
         agreed(self.comm, "contacts: how many", len(contacts))
         Given(self.comm, self.bodies.bodies).check()
-        if self.inverted_volume() > 0:
-            raise ValueError(
-                "u: det F ≤ 0 somewhere in the start state; start from a displacement without inverted cells"
-            )
+        self._check_cells()
         with self.stopwatch("contact set-up"):
             names = check_names([contact.name for contact in contacts])
             contacts = [
@@ -161,10 +158,7 @@ class ContactProblem(ProblemTies):
         self._shared_nodes = SharedNodes(self.pairs)
         if self.motions:
             self._shared_nodes.leave_out(everywhere=True)
-        for pair in self.pairs:
-            pair.check_behind()
-        found = [finding for pair in self.pairs if (finding := pair.overlap_at_start()) is not None]
-        Reporter(self.comm.rank).report(found, "the start")
+        self._check_start()
         #: whether matrices get room for facets near contact and their neighbours in space, too: fill for factors
         self.spare_pattern = False
         #: what solves the linear systems, in words if made a text; set by the Newton solver
@@ -176,6 +170,35 @@ class ContactProblem(ProblemTies):
         self.force_reference: float | None = None
         self._travel: Array = np.ones(self.bodies.pieces)
         self._least_gap = 2e-15 * diameter  # (m)
+
+    def _check_cells(self) -> None:
+        """Refuse inverted cells at the start (collective)."""
+        if self.inverted_volume() > 0:
+            raise ValueError(
+                "u: det F ≤ 0 somewhere in the start state; start from a displacement without inverted cells"
+            )
+
+    def _check_start(self) -> None:
+        """Refuse a contactor that is behind its target, and warn of surfaces that overlap (collective)."""
+        for pair in self.pairs:
+            pair.check_behind()
+        found = [finding for pair in self.pairs if (finding := pair.overlap_at_start()) is not None]
+        Reporter(self.comm.rank).report(found, "the start")
+
+    def take_up(self) -> None:
+        """Begin where bodies are: where displacements were set since the last converged state, what contact remembers of that
+        says nothing of this one, and slip is counted anew (collective).
+
+        Raises:
+            ValueError: as at a problem's start: inverted cells, surfaces on the wrong side of each other.
+        """
+        if not any_over(self.comm, any(pair.is_elsewhere() for pair in self.pairs)):
+            return
+        self.bodies.set(self.bodies.get())  # ghosts may not have been
+        self._check_cells()
+        for pair in self.pairs:
+            pair.start()
+        self._check_start()
 
     def pair(self, name: str) -> ContactPair:
         """The pair of a name.

@@ -136,6 +136,7 @@ def equilibrate(problem: ContactProblem, *, solver: NewtonSolver | None = None) 
     check_problem(problem)
     validation.check_still(problem.motions)
     solver = stepping.solver_of(problem, solver)
+    problem.take_up()
     before, clock = problem.snapshot(), perf_counter()
     attempt = _solve(problem, solver)
     if not attempt.good:
@@ -283,6 +284,7 @@ def _steps(control: Controller[Step], progress: bool) -> Generator[Step, None, N
 def _follow(control: _PathControl, start: float | None, progress: bool) -> Generator[Step, None, None]:
     """The first step with a given load, and those along the path."""
     problem, load, first = control.problem, control.load, control.first
+    problem.take_up()
     if start is not None:
         load.number = start
     control.mark()
@@ -453,6 +455,7 @@ class _LoadControl(Controller[Step]):
         self._met = goes_on  # whether anything has been in contact in a state of this march, or may be after it
 
     def begin(self) -> None:
+        self.problem.take_up()
         self._met |= self.problem.is_pressed()  # what touches at the start may be led away
         self._before = self.problem.bodies.get()
         if self.finished:

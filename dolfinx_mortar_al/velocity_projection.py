@@ -16,14 +16,17 @@ supports bear the impulses on them, and their columns of 𝐇 are zero.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from dolfinx import fem
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfinx_mortar_al.blocks import apply_columns
+from dolfinx_mortar_al.bodies import Bodies
 from dolfinx_mortar_al.contact_pair import ContactPair
 from dolfinx_mortar_al.law import Coulomb
 from dolfinx_mortar_al.petsc_blocks import Layout, empty_matrix, insert, insert_vector
@@ -86,11 +89,15 @@ class VelocityProjection:
     Args:
         problem: made of motions; its pairs have step kinematics.
         supports: its prescribed components.
+
+    Raises:
+        ValueError: on every rank, at a body that has no mass and of which nothing is prescribed.
     """
 
     def __init__(self, problem: ContactProblem, supports: Supports) -> None:
         self._problem, self._motions = problem, problem.motions
         self._mass, diagonals = problem.masses([motion.mass_form for motion in problem.motions])
+        _check_masses(problem.bodies, diagonals)
         #: (kg/m²) of each pair's surface
         self._density = [pair.surface_stiffness(diagonals) for pair in problem.pairs]
         self._layouts = [problem.bodies.layout]
@@ -292,4 +299,13 @@ class _Part:
         vectors, comm = self._on_contactor(impulses) * self._j[:, None], self._pair.comm
         return np.asarray(sum_over(comm, vectors.sum(axis=0))), sum_over(
             comm, float((vectors * self._rates.swept).sum()) / Δt
+        )
+
+
+def _check_masses(bodies: Bodies, diagonals: Sequence[fem.Function]) -> None:
+    """Refuse connected bodies that have nothing on the diagonals of their mass matrix: prescribed rows have a unit there."""
+    for piece in np.flatnonzero(bodies.stiffest(diagonals) <= 0.0)[:1]:
+        X = np.array2string(bodies.centre(int(piece)), precision=3)
+        raise ValueError(
+            f"density: the body around X = {X} has no mass, and nothing says how it moves; give it a density"
         )

@@ -386,6 +386,17 @@ def test_friction_that_a_dipping_front_takes_is_said():
     assert np.mean(said) == pytest.approx(np.mean(off), abs=0.03)
 
 
+def test_a_symmetric_dent_takes_no_friction():
+    """The ends of a block that is pressed straight down dip in on either side, and what they take cancels: with μ = .001 half
+    of friction was said to be off, by the vertical part of their pressures."""
+    press = [Stage("press", 3, (0.0, -0.06))]
+    model = Model(block_on_slab(press, swap=False, sides=False, friction=1e-3, end=0.75, cells=(6, 24)))
+    for step in quasistatic.march(model.problem, model.set_load(0), to=1.0, increments=3, start=0.0):
+        fx, fy = model.pair.force()
+        assert abs(fx) < 1e-6 * fy
+        assert not [f for f in step.findings if "friction that is off" in f.name]
+
+
 def chamfered_on_slab(chamfer, cells, order):
     """A block of 1 m, .6 m high, whose bottom's corners are cut off by two facets each, led over a slab, the contactor, under
     a dead load of 20 kN: the problem, the load (Pa) and the displacement along the slab. E = 1 MPa."""

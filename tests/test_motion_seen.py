@@ -169,6 +169,53 @@ def test_inertia_that_drowns_in_round_off_is_said(density, said):
     assert off > 1.0 if said else off < 1e-9
 
 
+@pytest.mark.parametrize("gap", [0.0, 2e-3])
+def test_a_weight_within_a_form(gap):
+    """A body's form may hold its weight: what it has done since the start is less than nothing then. A block that lies, or
+    falls 2 mm, is not refused for 1e-19 J that contact "would give", and loses no more than all."""
+    low, high = [0.0, gap], [0.1, 0.05]
+    domain, _, tags = create_boxes(MPI.COMM_WORLD, [Box(low, high, [4, 2], 1, {(1, 0): LOWER})], simplices=False)
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    w, law = ufl.TestFunction(u.function_space), materials.neo_hookean(1e6, 0.3)
+    form = law.virtual_work(u) + DENSITY * 9.81 * w[1] * ufl.dx
+    motion = dynamics.Motion(Body(u, form, density=DENSITY), step=1e-3)
+    floor = obstacles.RigidPlane([0.0, 0.0], [0.0, 1.0])
+    problem = ContactProblem(motion, contacts=[Contact(Surface(domain, tags, LOWER), floor, friction=0.3)])
+    steps = run(problem, to=0.05)
+    assert sum(step.rejected for step in steps) == 0
+    assert all(f.value < 1.0 for f in named(steps, "impact loss"))
+
+
+@pytest.mark.parametrize("rate, said", [(8.0, "energy gained"), (-8.0, "energy lost")])
+def test_moduli_that_change_are_said(rate, said):
+    """A block under its weight grows stiffer, or softer, by .8 times in .1 s: energy comes, or goes, that nothing books."""
+    domain, _, tags = create_boxes(
+        MPI.COMM_WORLD, [Box([0, 0], [0.1, 0.05], [4, 2], 1, {(1, 0): LOWER})], simplices=False
+    )
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    E = fem.Constant(domain, 1e6)
+    weight = (ufl.as_vector((0.0, -9.81 * DENSITY)), ufl.dx(domain))
+    motion = dynamics.Motion(Body(u, materials.neo_hookean(E, 0.3), density=DENSITY, external=weight), step=1e-3)
+    floor = obstacles.RigidPlane([0.0, 0.0], [0.0, 1.0])
+    problem = ContactProblem(motion, contacts=[Contact(Surface(domain, tags, LOWER), floor)])
+    steps = run(problem, to=0.02, move=lambda t: setattr(E, "value", 1e6 * (1 + rate * t)))
+    found = {f.name for step in steps for f in step.findings if "energy" in f.name and "loss" not in f.name}
+    assert found == {f"{said} (J)"}
+
+
+def test_a_body_without_mass_is_refused():
+    """One of two in a mesh, whose density is a field that is nothing there: nothing would say how it moves."""
+    boxes = [Box([0.0, y], [0.1, 0.05], [2, 2], k, {}) for k, y in ((1, 0.0), (2, 0.06))]
+    domain, cells, _ = create_boxes(MPI.COMM_WORLD, boxes, simplices=False)
+    density = fem.Function(fem.functionspace(domain, ("DG", 0)))
+    density.x.array[:] = DENSITY
+    density.x.array[cells.find(2)] = 0.0
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    motion = dynamics.Motion(Body(u, materials.neo_hookean(1e6, 0.3), density=density), step=1e-3)
+    with pytest.raises(ValueError, match=r"density: the body around X = \[0.05\s+0.085\] has no mass"):
+        next(iter(dynamics.march(ContactProblem(motion), to=1e-2)))
+
+
 def test_a_march_that_goes_on_from_its_end_is_empty():
     """As one of a run that is read back from files may, with its ledger; without one the end is a mistake."""
     motion, _ = block([0.0, 0.0], [1.0, 1.0], [2, 2], step=1e-2)

@@ -34,21 +34,32 @@ MU, DEPTH, WAY = 0.3, 0.05, 0.1
 
 
 class Block:
-    """A block on a rigid floor, μ = 0.3, its top held: `top` is the Constant or, with `field`, the Function of its place.
+    """A block on a rigid floor, μ = 0.3, its top held: `top` is the Constant or, with `field`, the Function of its place. Its
+    mesh is at a `height` and put elsewhere by `start`, if so `afterwards`, when the problem has been made.
     Pressed in by 0.05 m it sticks when it is dragged by little and slides under μN in the end."""
 
-    def __init__(self, field=False):
-        domain = mesh.create_rectangle(MPI.COMM_WORLD, [(0.0, 0.0), (1.0, 0.5)], (4, 2), mesh.CellType.quadrilateral)
+    def __init__(self, field=False, start=(0.0, 0.0), height=0.0, afterwards=False):
+        low, high = (0.0, height), (1.0, height + 0.5)
+        domain = mesh.create_rectangle(MPI.COMM_WORLD, [low, high], (4, 2), mesh.CellType.quadrilateral)
         V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-        self.u, self.top = fem.Function(V), fem.Function(V) if field else fem.Constant(domain, (0.0, 0.0))
-        bottom, top = (mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (0.0, 0.5))
+        self.u, self.top = fem.Function(V), fem.Function(V) if field else fem.Constant(domain, start)
+        bottom, top = (
+            mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], height + y)) for y in (0.0, 0.5)
+        )
         tags = mesh.meshtags(domain, 1, np.sort(bottom), np.full(len(bottom), 1, dtype=np.int32))
         held = fem.locate_dofs_topological(V, 1, top)
         bc = fem.dirichletbc(self.top, held) if field else fem.dirichletbc(self.top, held, V)
         F = materials.neo_hookean(E=1e3, nu=0.3).virtual_work(self.u)
         self.μ = fem.Constant(domain, MU)
         contact = Contact(Surface(domain, tags, 1), obstacles.RigidPlane([0, 0], [0, 1]), friction=self.μ)
+        if not afterwards:
+            self.put(start)
         self.problem = ContactProblem(F, self.u, bcs=[bc], contacts=[contact])
+        if afterwards:
+            self.put(start)
+
+    def put(self, way):
+        self.u.interpolate(lambda x: np.outer(way, np.ones(x.shape[1])))
 
     def force(self):
         return self.problem.pairs[0].force()
@@ -73,6 +84,23 @@ def separate():
         steps = list(quasistatic.march(block.problem, load, to=1.0, increments=increments))
         found.append((block.force(), [step.iterations for step in steps]))
     return found
+
+
+def test_bodies_that_are_put_elsewhere_after_the_problem_was_made():
+    """A block .2 m above its place is let down by u, before and after its problem is made: presses and friction are the same.
+    What contact remembered of where it was made closed points by the dozen, and counted .2 m of slip."""
+    forces = []
+    for afterwards in (False, True):
+        block = Block(start=(0.3, -0.2), height=0.2, afterwards=afterwards)
+        begun = (0.3, -0.2)
+        for way in ((0.0, -DEPTH), (WAY, -DEPTH)):
+            to = tuple(np.add(begun, way))
+            steps = list(quasistatic.march(block.problem, block.top, to=to, increments=4))
+            forces.append((block.force(), sum(step.iterations for step in steps)))
+    for (before, few), (after, no_more) in zip(forces[:2], forces[2:], strict=True):
+        assert np.allclose(before, after, rtol=1e-9)
+        assert no_more <= few
+    assert abs(forces[3][0][0]) > 0.9 * MU * forces[3][0][1]
 
 
 def test_stages_are_marches_one_after_the_other(separate):
