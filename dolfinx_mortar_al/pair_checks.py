@@ -69,7 +69,10 @@ def check_sides(name: str, contact: Contact, kinematics: Kinematics, target: Tar
     if facing and sum_over(comm, int((closest.facing & same_way).sum())) == facing:
         other = "pass the side of the body that faces it"
         if isinstance(target, RigidTarget):
-            other = "if it is around the body pass inside=True, or turn its normal round"
+            other = (
+                "if it is around the body pass inside=True, or turn its normal round; of a body that will turn over, name the "
+                "whole boundary, in one tag"
+            )
         raise ValueError(
             f"{name}: the target ({contact.target_name}) faces away from the contactor (tag {contact.contactor.tag}) "
             f"everywhere: {other}"
