@@ -28,7 +28,7 @@ from dolfinx_mortar_al.moduli import doubt_order, softest, yielding_share
 from dolfinx_mortar_al.petsc_blocks import JointNumbering
 from dolfinx_mortar_al.pieces import Piece, floating_pieces, pieces_of
 from dolfinx_mortar_al.ranks import agreed, agreed_on_group
-from dolfinx_mortar_al.reductions import max_over, sum_over
+from dolfinx_mortar_al.reductions import any_over, max_over, sum_over
 from dolfinx_mortar_al.validation import check_cells, check_residual, check_space, listed
 
 __all__ = ["Bodies", "BodyForms"]
@@ -183,6 +183,20 @@ class BodyForms:
         A = dolfinx_petsc.assemble_matrix(self.J)
         A.assemble()
         return A
+
+    def yielding_share(self, A: PETSc.Mat) -> fem.Function:
+        """That of :func:`~dolfinx_mortar_al.moduli.yielding_share`, which takes strains for those of a body that has not
+        turned: of the undeformed one, where A is the stiffness of a start state that has (collective)."""
+        present = self.u.x.array.copy()
+        if self.has_inertia or not any_over(self.mesh.comm, bool(present.any())):
+            return yielding_share(self.space, A)
+        self.u.x.array[:] = 0.0
+        undeformed = self.stiffness()
+        self.u.x.array[:] = present
+        self.begin()
+        share = yielding_share(self.space, undeformed)
+        undeformed.destroy()
+        return share
 
 
 class Bodies:
@@ -468,8 +482,8 @@ class Bodies:
         return found
 
     def yielding(self, diagonals: Sequence[fem.Function]) -> list[fem.Function]:
-        """Diagonals of the bulk's stiffness (N/m), on bodies' boundaries as a pressure meets them: by Poisson's ratio in the
-        start state."""
+        """Diagonals of the bulk's stiffness (N/m), on bodies' boundaries as a pressure meets them: by Poisson's ratio in
+        the undeformed state."""
         found = [diagonal.copy() for diagonal in diagonals]
         for diagonal, share in zip(found, self._yielding_shares, strict=True):
             diagonal.x.array[:] *= share.x.array
@@ -490,7 +504,7 @@ class Bodies:
             diagonal.x.scatter_forward()
             diagonals.append(diagonal)
             self.softest.append(softest(body.space, A, body.prescribed()))
-            self._yielding_shares.append(yielding_share(body.space, A))
+            self._yielding_shares.append(body.yielding_share(A))
             doubt_order(self._yielding_shares[-1], f"u[{k}]")
             rows, columns = A.getValuesCSR()[:2]
             A.destroy()  # the pattern takes less memory

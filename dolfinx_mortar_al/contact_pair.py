@@ -257,6 +257,11 @@ class ContactPair(PairFirmness):
             ways.append(place - before.place)
         return any(bool((np.abs(way) > ELSEWHERE * self.target.size).any()) for way in ways)
 
+    def forget(self) -> None:
+        """Before a start anew: nothing is known of pressures, as of a new problem's."""
+        self.multiplier.field.x.array[:] = 0.0
+        self.active.guessed = True
+
     def start(self) -> None:
         """Project for the first time, or anew; slip is counted from the present state. Points that touch count as closed.
 

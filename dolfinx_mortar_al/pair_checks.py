@@ -70,8 +70,8 @@ def check_sides(name: str, contact: Contact, kinematics: Kinematics, target: Tar
         other = "pass the side of the body that faces it"
         if isinstance(target, RigidTarget):
             other = (
-                "if it is around the body pass inside=True, or turn its normal round; of a body that will turn over, name the "
-                "whole boundary, in one tag"
+                "if it is around the body pass inside=True, or turn its normal round; of a body that will turn over, name "
+                "the whole boundary, in one tag"
             )
         raise ValueError(
             f"{name}: the target ({contact.target_name}) faces away from the contactor (tag {contact.contactor.tag}) "

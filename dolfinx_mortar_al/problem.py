@@ -197,6 +197,7 @@ class ContactProblem(ProblemTies):
         self.bodies.set(self.bodies.get())  # ghosts may not have been
         self._check_cells()
         for pair in self.pairs:
+            pair.forget()
             pair.start()
         self._check_start()
 

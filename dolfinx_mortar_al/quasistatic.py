@@ -42,6 +42,7 @@ UNSTABLE = Finding(
     "move with dynamics.march",
     False,
 )
+UNSTABLE_PATH = replace(UNSTABLE, meaning="this equilibrium is unstable: a real body would leave it; the path goes on")
 LEAPT = "an unstable equilibrium, reached from a stable one"
 OFF = 1 / 16  # of an increment, down to which a step that leaps out of contact is tried again
 LEAPT_OFF = (
@@ -717,6 +718,7 @@ class _PathControl(Controller[Step]):
         self.load.number = λ1 + share * (λ1 - λ0)
         self.problem.slip_from_touch(share)
         attempt = _solve(self.problem, self.solver, Path(self.load, direction, 1e-3 * self.first))
+        attempt.findings = [UNSTABLE_PATH if f is UNSTABLE else f for f in attempt.findings]
         self._tried = self.load.number
         return attempt
 
