@@ -34,8 +34,8 @@ class Motion:
         step: Δt (s), the longest that will be used. A Constant in place of a number is one that forms may hold: a march
             sets it to the Δt of each trial, and back at its end.
         theta: θ of the scheme, 1/2 ≤ θ ≤ 1; anything but 1/2 dissipates.
-        force: "consistent", whose energy balance is exact (with θ = 1/2), or "trapezoidal", θ-weighted end forces, which a
-            form has in any case.
+        force: "consistent", whose energy balance is exact with θ = 1/2 and which loses some with a larger one, or
+            "trapezoidal", θ-weighted end forces, which a form has in any case.
         old: of forms that hold the displacement of the last step, the Function of u's space that they hold: rates are
             ``(u - old) / Δt``. The motion keeps it; a form without it has a Function of the motion's own.
 
