@@ -178,7 +178,8 @@ def march(
     tried without a prediction. Other bodies are let go where a sixteenth of the increment fails, and again where the smallest
     does: they move, slowed, to where they come to rest, which a finding of the step says. The asked-for loads are always
     met: `increments` equal parts of the way. A load begins where it stands, at the end of an earlier march or as a
-    checkpoint has brought it back; a function that no march has called yet, at 0.
+    checkpoint has brought it back; a function that no march has called yet, at 0. Bodies begin where their displacements
+    are: where these were set since the last converged state, slip is counted anew.
 
     Args:
         problem: to solve.
