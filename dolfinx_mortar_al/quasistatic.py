@@ -286,7 +286,6 @@ def _steps(control: Controller[Step], progress: bool) -> Generator[Step, None, N
 def _follow(control: _PathControl, start: float | None, progress: bool) -> Generator[Step, None, None]:
     """The first step with a given load, and those along the path."""
     problem, load, first = control.problem, control.load, control.first
-    problem.take_up()
     if start is not None:
         load.number = start
     control.mark()
